@@ -1,0 +1,42 @@
+"""Encoding of camera frames: protobuf's own way of it copies the pixels twice and takes twenty times as long."""
+
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+
+from armsight.times import to_timestamp
+
+_DATA_TAG = bytes([(RawImage.DATA_FIELD_NUMBER << 3) | 2])
+
+
+def encode_rgb8(pixels: bytes | memoryview, width: int, height: int, frame_id: str, capture_ns: int) -> bytes:
+    """A foxglove.RawImage of rgb8 rows without padding, serialised.
+
+    Args:
+        pixels: ``height * width * 3`` bytes, the top row first.
+        width: columns.
+        height: rows.
+        frame_id: name of the camera's optical frame.
+        capture_ns: instant of capture, Unix nanoseconds.
+
+    Raises:
+        ValueError: the number of bytes does not fit width and height.
+    """
+    if len(pixels) != width * height * 3:
+        raise ValueError(f"{len(pixels)} bytes are not a {width}x{height} rgb8 image")
+    head = RawImage(
+        timestamp=to_timestamp(capture_ns),
+        frame_id=frame_id,
+        width=width,
+        height=height,
+        encoding="rgb8",
+        step=width * 3,
+    )
+    return b"".join((head.SerializeToString(), _DATA_TAG, _varint(len(pixels)), pixels))
+
+
+def _varint(value: int) -> bytes:
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)

@@ -1,0 +1,199 @@
+"""Opening a Zenoh session: client of a router, or the router itself; from flags, environment and a file.
+
+A flag wins over its environment variable, that over the configuration file, that over the default.
+"""
+
+import argparse
+import json
+import logging
+import os
+import resource
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import zenoh
+
+from armsight.errors import ConfigError
+
+log = logging.getLogger(__name__)
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+DEFAULT_NAMESPACE = "robots/arm"
+
+# Three pairs of 800x800 rgb8 frames do not fit, three frames do: every process that maps the pool must lock it, and the
+# usual limit is 8 MiB.
+SHARED_MEMORY_POOL_BYTES = 6 * 1024 * 1024
+_SHARED_MEMORY_LOCK_BYTES = SHARED_MEMORY_POOL_BYTES + 3 * 512 * 1024
+_SHARED_MEMORY_THRESHOLD_BYTES = 65536
+_CAP_IPC_LOCK = 14
+
+# Zenoh's own: under load the loss of frames at 30 Hz falls from a tenth to nothing.
+_DATA_LOW_QUEUE = 16
+
+_HINT_AFTER_ATTEMPTS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class SessionConfig:
+    """How one process joins the bus."""
+
+    mode: Literal["client", "router"] = "client"
+    endpoints: tuple[str, ...] = (DEFAULT_ENDPOINT,)
+    """Where a client connects to, where a router listens."""
+    namespace: str = DEFAULT_NAMESPACE
+    """Stands before every key; empty for a router, which serves all namespaces."""
+    shared_memory: Literal["off", "read", "publish"] = "read"
+    """``publish`` makes a pool: sim alone."""
+    file: Path | None = None
+    """Zenoh configuration (JSON5) to start from, for TLS and access control."""
+
+    def __post_init__(self) -> None:
+        """Refuses what Zenoh would refuse later and less clearly."""
+        for endpoint in self.endpoints:
+            protocol, _, address = endpoint.partition("/")
+            if not protocol or not address:
+                raise ConfigError(f"endpoint {endpoint!r} is not of the form tcp/HOST:PORT")
+        if any(
+            part in ("", "*", "**") or set(part) & set("*$?#") for part in self.namespace.split("/") if self.namespace
+        ):
+            raise ConfigError(f"namespace {self.namespace!r} is not a key such as {DEFAULT_NAMESPACE!r}")
+
+
+def add_session_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the flags that every process on the bus has."""
+    group = parser.add_argument_group("bus")
+    group.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        action="append",
+        help=f"router to connect to, may be given again (environment ARMSIGHT_CONNECT, default {DEFAULT_ENDPOINT})",
+    )
+    group.add_argument(
+        "--namespace", help=f"the robot's name (environment ARMSIGHT_NAMESPACE, default {DEFAULT_NAMESPACE})"
+    )
+    group.add_argument(
+        "--zenoh-config", metavar="FILE", type=Path, help="Zenoh JSON5 file (environment ARMSIGHT_ZENOH_CONFIG)"
+    )
+
+
+def session_config(
+    arguments: argparse.Namespace, shared_memory: Literal["off", "read", "publish"] = "read"
+) -> SessionConfig:
+    """The configuration that flags, environment and file add up to.
+
+    Raises:
+        ConfigError: a value that can't be used.
+    """
+    file = arguments.zenoh_config or _path_from_environment("ARMSIGHT_ZENOH_CONFIG")
+    connect = arguments.connect or [part for part in os.environ.get("ARMSIGHT_CONNECT", "").split(",") if part]
+    namespace = arguments.namespace or os.environ.get("ARMSIGHT_NAMESPACE")
+    in_file = _read_file(file) if file else None
+    if not connect and in_file is not None:
+        connect = json.loads(in_file.get_json("connect/endpoints")) or []
+    if namespace is None and in_file is not None:
+        namespace = json.loads(in_file.get_json("namespace"))
+    return SessionConfig(
+        endpoints=tuple(connect) or (DEFAULT_ENDPOINT,),
+        namespace=namespace or DEFAULT_NAMESPACE,
+        shared_memory="off" if os.environ.get("ARMSIGHT_SHARED_MEMORY") == "off" else shared_memory,
+        file=file,
+    )
+
+
+def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session | None:
+    """Opens a session, waiting for the router as long as it takes; returns nothing once ``stop`` is set.
+
+    Raises:
+        ConfigError: Zenoh refuses the configuration, or a router can't listen.
+    """
+    zenoh.init_log_from_env_or("error")
+    settings = zenoh_settings(config)
+    attempt = 0
+    while not stop.is_set():
+        attempt += 1
+        try:
+            return zenoh.open(settings)
+        except zenoh.ZError as error:
+            if config.mode == "router":
+                raise ConfigError(f"can't listen on {', '.join(config.endpoints)}: {error}") from error
+            if attempt % 20 == _HINT_AFTER_ATTEMPTS:
+                log.warning(
+                    "no router at %s yet, still trying: start one with `armsight up` or `armsight router`; with TLS or "
+                    "a password, check the certificates too",
+                    ", ".join(config.endpoints),
+                    extra={"error": str(error)},
+                )
+        stop.wait(0.1)
+    return None
+
+
+def zenoh_settings(config: SessionConfig) -> zenoh.Config:
+    """The Zenoh configuration of a session: the file's, with ours on top."""
+    settings = _read_file(config.file) if config.file else zenoh.Config()
+
+    def put(path: str, value: object) -> None:
+        try:
+            settings.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            raise ConfigError(f"zenoh refuses {path} = {value!r}: {error}") from error
+
+    put("mode", config.mode)
+    put("scouting/multicast/enabled", False)
+    put("scouting/gossip/enabled", False)
+    put("transport/link/tx/queue/size/data_low", _DATA_LOW_QUEUE)
+    if config.mode == "router":
+        put("listen/endpoints", list(config.endpoints))
+        put("connect/endpoints", [])
+    else:
+        put("connect/endpoints", list(config.endpoints))
+        put("connect/timeout_ms", 500)
+        put("connect/exit_on_failure", True)
+        put("connect/retry", {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5})
+        put("listen/endpoints", [])
+        put("namespace", config.namespace)
+    _put_shared_memory(put, config.shared_memory)
+    return settings
+
+
+def _put_shared_memory(put, wanted: str) -> None:  # type: ignore[no-untyped-def]
+    allowed = wanted != "off" and _may_lock(_SHARED_MEMORY_LOCK_BYTES)
+    if wanted != "off" and not allowed:
+        log.warning(
+            "no shared memory: this process may lock less than %d bytes; raise `ulimit -l` to use it",
+            _SHARED_MEMORY_LOCK_BYTES,
+        )
+    put("transport/shared_memory/enabled", allowed)
+    if allowed and wanted == "publish":
+        optimization = {
+            "enabled": True,
+            "pool_size": SHARED_MEMORY_POOL_BYTES,
+            "message_size_threshold": _SHARED_MEMORY_THRESHOLD_BYTES,
+        }
+        put("transport/shared_memory/transport_optimization", optimization)
+    else:
+        put("transport/shared_memory/transport_optimization/enabled", False)
+
+
+def _may_lock(size: int) -> bool:
+    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    return soft == resource.RLIM_INFINITY or soft >= size or _has_capability(_CAP_IPC_LOCK)
+
+
+def _has_capability(number: int) -> bool:
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    effective = next((line.split()[1] for line in status.splitlines() if line.startswith("CapEff:")), "0")
+    return bool(int(effective, 16) >> number & 1)
+
+
+def _read_file(file: Path) -> zenoh.Config:
+    try:
+        return zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        raise ConfigError(f"{file} is not a Zenoh configuration: {error}") from error
+
+
+def _path_from_environment(name: str) -> Path | None:
+    value = os.environ.get(name)
+    return Path(value) if value else None
