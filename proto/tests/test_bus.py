@@ -1,0 +1,189 @@
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import zenoh
+from google.protobuf.empty_pb2 import Empty
+
+from armsight import topics
+from armsight.bus import Bus, open_bus
+from armsight.errors import ArmsightError, NoReplyError, RefusedError, SessionClosedError
+from armsight.images import encode_rgb8
+from armsight.session import SessionConfig, open_session
+from armsight.times import from_timestamp
+from armsight.v1.control_pb2 import CONTROL_MODE_HOLD, SetModeRequest, SetModeResponse
+from armsight.v1.joints_pb2 import JointPositions
+from armsight.v1.safety_pb2 import StopState
+
+Buses = tuple[Bus, Bus]
+
+
+def eventually(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def test_message_arrives_decoded_with_its_key(two_buses: Buses) -> None:
+    here, there = two_buses
+    subscriber = there.subscriber(topics.CAMERA_IMAGE, "*")
+    publisher = here.publisher(topics.CAMERA_IMAGE, "left")
+    assert eventually(publisher.has_subscribers)
+    pixels = np.random.default_rng(1).integers(0, 256, (12, 16, 3), dtype=np.uint8).tobytes()
+    publisher.put_bytes(encode_rgb8(pixels, 16, 12, "camera_left_optical", 1_700_000_000_123_456_789))
+    received = subscriber.recv(2.0)
+    assert received is not None
+    assert received.name == "left"
+    assert received.message.data == pixels
+    assert (received.message.width, received.message.height, received.message.step) == (16, 12, 48)
+    assert from_timestamp(received.message.timestamp) == 1_700_000_000_123_456_789
+
+
+@pytest.mark.parametrize(
+    "payload", [b"\xff" * 7, b"\x0a\xff\xff\xff\xff\x0f", bytes(range(256)) * 40], ids=["noise", "truncated", "long"]
+)
+def test_malformed_bytes_are_counted_and_the_next_message_still_arrives(two_buses: Buses, payload: bytes) -> None:
+    here, there = two_buses
+    subscriber = there.subscriber(topics.JOINT_POSITIONS)
+    publisher = here.publisher(topics.JOINT_POSITIONS)
+    assert eventually(publisher.has_subscribers)
+    publisher.put_bytes(payload)
+    assert eventually(lambda: there.counters.snapshot().get("malformed_joint_positions") == 1)
+    publisher.put(JointPositions())
+    assert subscriber.recv(2.0) is not None
+
+
+def test_another_schema_on_a_key_is_refused_though_its_bytes_would_parse(two_buses: Buses) -> None:
+    here, there = two_buses
+    subscriber = there.subscriber(topics.STOP_STATE)
+    here.session.put("safety/stop", b"", encoding="application/protobuf;armsight.v1.Clock")
+    assert eventually(lambda: there.counters.snapshot().get("malformed_stop_state") == 1)
+    assert subscriber.latest is None
+
+
+def test_late_subscriber_gets_the_last_latched_value_only(two_buses: Buses) -> None:
+    here, there = two_buses
+    publisher = here.publisher(topics.STOP_STATE)
+    publisher.put(StopState(stopped=True))
+    publisher.put(StopState(stopped=False))
+    subscriber = there.subscriber(topics.STOP_STATE)
+    received = subscriber.recv(2.0)
+    assert received is not None
+    assert not received.message.stopped
+    assert subscriber.recv(0.2) is None
+
+
+def test_latched_value_of_a_publisher_that_comes_later_arrives(two_buses: Buses) -> None:
+    here, there = two_buses
+    subscriber = there.subscriber(topics.STOP_STATE)
+    for stopped in (True, False, True):
+        publisher = here.publisher(topics.STOP_STATE)
+        publisher.put(StopState(stopped=stopped))
+        received = subscriber.recv(2.0)
+        assert received is not None
+        assert received.message.stopped == stopped
+
+
+def test_subscriber_keeps_the_newest_and_counts_what_it_lost(two_buses: Buses) -> None:
+    here, there = two_buses
+    subscriber = there.subscriber(topics.JOINT_POSITIONS, keep=2)
+    publisher = here.publisher(topics.JOINT_POSITIONS)
+    assert eventually(publisher.has_subscribers)
+    for seconds in range(5):
+        message = JointPositions()
+        message.capture_time.seconds = seconds
+        publisher.put(message)
+        assert eventually(
+            lambda seconds=seconds: (  # type: ignore[misc]
+                subscriber.latest is not None and subscriber.latest.message.capture_time.seconds == seconds
+            )
+        )
+    assert subscriber.lost == 3
+    kept = [subscriber.recv(0.1), subscriber.recv(0.1), subscriber.recv(0.1)]
+    assert [k.message.capture_time.seconds if k else None for k in kept] == [3, 4, None]
+
+
+def test_failing_handler_does_not_end_the_subscription(two_buses: Buses) -> None:
+    here, there = two_buses
+    seen: list[int] = []
+
+    def handle(received: object) -> None:
+        seen.append(1)
+        raise RuntimeError(f"on purpose: {received!r:.20}")
+
+    there.subscriber(topics.JOINT_POSITIONS, on_message=handle)
+    publisher = here.publisher(topics.JOINT_POSITIONS)
+    assert eventually(publisher.has_subscribers)
+    for count in (1, 2):
+        publisher.put(JointPositions())
+        assert eventually(lambda count=count: len(seen) == count)  # type: ignore[misc]
+    assert there.counters.snapshot()["failed_joint_positions"] == 2
+
+
+def test_query_is_answered_refused_or_unanswered_with_a_reason(two_buses: Buses) -> None:
+    here, there = two_buses
+    with pytest.raises(NoReplyError, match="is control running"):
+        there.query(topics.MODE, SetModeRequest(), timeout_s=0.5)
+
+    def answer(request: SetModeRequest) -> SetModeResponse:
+        if request.start_s < 0:
+            raise ArmsightError("start_s must not be negative")
+        if request.start_s > 1e6:
+            raise ZeroDivisionError("a fault in the service")
+        return SetModeResponse(mode=request.mode)
+
+    here.serve(topics.MODE, answer)
+    assert there.query(topics.MODE, SetModeRequest(mode=CONTROL_MODE_HOLD)).mode == CONTROL_MODE_HOLD
+    with pytest.raises(RefusedError, match="must not be negative"):
+        there.query(topics.MODE, SetModeRequest(start_s=-1))
+    with pytest.raises(RefusedError, match="internal error: a fault in the service"):
+        there.query(topics.MODE, SetModeRequest(start_s=1e9))
+    malformed = list(there.session.get("control/mode", payload=b"\xff\xff"))
+    assert "not a armsight.v1.SetModeRequest" in malformed[0].err.payload.to_string()  # type: ignore[union-attr]
+    totals = here.counters.snapshot()
+    assert (totals["refused_mode"], totals["failed_mode"], totals["malformed_mode"]) == (1, 1, 1)
+    with pytest.raises(NoReplyError):
+        there.query(topics.PARAMETERS, Empty(), "nobody", timeout_s=0.5)
+
+
+def test_presence_tells_who_comes_and_goes(two_buses: Buses) -> None:
+    here, there = two_buses
+    changes: list[tuple[str, bool]] = []
+    presence = there.presence(lambda name, here: changes.append((name, here)))
+    token = here.session.liveliness().declare_token(topics.HEALTH.key_for("vision"))
+    assert eventually(lambda: presence.alive() == {"vision"})
+    token.undeclare()  # type: ignore[no-untyped-call]
+    assert eventually(lambda: presence.alive() == frozenset())
+    assert changes == [("vision", True), ("vision", False)]
+
+
+def test_robots_on_one_router_do_not_hear_each_other(router: zenoh.Session, endpoint: str) -> None:
+    del router
+    sessions = [
+        open_session(SessionConfig(endpoints=(endpoint,), namespace=name, shared_memory="off"), threading.Event())
+        for name in ("robots/a", "robots/b")
+    ]
+    assert sessions[0] is not None
+    assert sessions[1] is not None
+    with open_bus(sessions[0]) as a, open_bus(sessions[1]) as b:
+        heard_a, heard_b = a.subscriber(topics.STOP_STATE), b.subscriber(topics.STOP_STATE)
+        a.publisher(topics.STOP_STATE).put(StopState(stopped=True))
+        assert heard_a.recv(2.0) is not None
+        assert heard_b.recv(0.3) is None
+
+
+def test_waiting_on_a_session_that_closes_ends_at_once(router: zenoh.Session, endpoint: str) -> None:
+    del router
+    session = open_session(SessionConfig(endpoints=(endpoint,), shared_memory="off"), threading.Event())
+    assert session is not None
+    subscriber = Bus(session).subscriber(topics.CLOCK)
+    threading.Timer(0.2, session.close).start()
+    started = time.monotonic()
+    with pytest.raises(SessionClosedError):
+        subscriber.recv(10.0)
+    assert time.monotonic() - started < 2.0

@@ -1,0 +1,149 @@
+import argparse
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from armsight.errors import ConfigError
+from armsight.session import (
+    DEFAULT_ENDPOINT,
+    DEFAULT_NAMESPACE,
+    SessionConfig,
+    add_session_arguments,
+    open_session,
+    session_config,
+    zenoh_settings,
+)
+
+SERVICE = """
+import argparse, sys
+from armsight.service import add_service_arguments, run_service
+from armsight.v1.health_pb2 import HEALTH_STATUS_OK
+parser = argparse.ArgumentParser()
+add_service_arguments(parser)
+def body(context):
+    context.health.report(HEALTH_STATUS_OK)
+    print("running", flush=True)
+    context.stop.wait()
+sys.exit(run_service("probe", parser.parse_args(), {}, body))
+"""
+
+
+def parse(*flags: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_session_arguments(parser)
+    return parser.parse_args(flags)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "zenoh.json5"
+    path.write_text('{ connect: { endpoints: ["tcp/10.0.0.1:1"] }, namespace: "robots/file", /* comment */ }')
+    return path
+
+
+def test_flag_wins_over_environment_over_file_over_default(monkeypatch: pytest.MonkeyPatch, file: Path) -> None:
+    for name in ("ARMSIGHT_CONNECT", "ARMSIGHT_NAMESPACE", "ARMSIGHT_ZENOH_CONFIG"):
+        monkeypatch.delenv(name, raising=False)
+    default = session_config(parse())
+    assert (default.endpoints, default.namespace) == ((DEFAULT_ENDPOINT,), DEFAULT_NAMESPACE)
+    from_file = session_config(parse("--zenoh-config", str(file)))
+    assert (from_file.endpoints, from_file.namespace) == (("tcp/10.0.0.1:1",), "robots/file")
+    monkeypatch.setenv("ARMSIGHT_ZENOH_CONFIG", str(file))
+    monkeypatch.setenv("ARMSIGHT_CONNECT", "tcp/10.0.0.2:2,tcp/10.0.0.3:3")
+    monkeypatch.setenv("ARMSIGHT_NAMESPACE", "robots/env")
+    from_env = session_config(parse())
+    assert (from_env.endpoints, from_env.namespace) == (("tcp/10.0.0.2:2", "tcp/10.0.0.3:3"), "robots/env")
+    from_flags = session_config(parse("--connect", "tcp/h:4", "--namespace", "robots/flag"))
+    assert (from_flags.endpoints, from_flags.namespace) == (("tcp/h:4",), "robots/flag")
+
+
+@pytest.mark.parametrize("endpoint", ["localhost:7447", "tcp/", "", "/x"])
+def test_endpoint_that_is_none_is_refused(endpoint: str) -> None:
+    with pytest.raises(ConfigError, match="tcp/HOST:PORT"):
+        SessionConfig(endpoints=(endpoint,))
+
+
+@pytest.mark.parametrize("namespace", ["robots/*", "/robots", "robots//arm", "a#b"])
+def test_namespace_that_is_no_key_is_refused(namespace: str) -> None:
+    with pytest.raises(ConfigError, match="is not a key"):
+        SessionConfig(namespace=namespace)
+
+
+def test_unreadable_configuration_file_says_which(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.json5"
+    broken.write_text("{ mode: ")
+    with pytest.raises(ConfigError, match=r"broken\.json5"):
+        zenoh_settings(SessionConfig(file=broken))
+
+
+def test_shared_memory_is_left_out_where_too_little_may_be_locked() -> None:
+    code = (
+        "import resource, json; resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536));"
+        "import armsight.session as s; s._has_capability = lambda number: False;"
+        "c = s.zenoh_settings(s.SessionConfig(shared_memory='publish'));"
+        "print(c.get_json('transport/shared_memory/enabled'))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(run.stdout) is False
+    assert "ulimit -l" in run.stderr
+
+
+def test_shared_memory_is_used_where_enough_may_be_locked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    settings = zenoh_settings(SessionConfig(shared_memory="publish"))
+    assert json.loads(settings.get_json("transport/shared_memory/enabled")) is True
+    optimization = json.loads(settings.get_json("transport/shared_memory/transport_optimization"))
+    assert optimization["enabled"] is True
+    reading = zenoh_settings(SessionConfig(shared_memory="read"))
+    assert json.loads(reading.get_json("transport/shared_memory/transport_optimization"))["enabled"] is False
+
+
+def test_port_in_use_is_a_clear_error(endpoint: str) -> None:
+    config = SessionConfig(mode="router", endpoints=(endpoint,), namespace="", shared_memory="off")
+    first = open_session(config, threading.Event())
+    assert first is not None
+    with first, pytest.raises(ConfigError, match="can't listen on"):
+        open_session(config, threading.Event())
+
+
+def run_probe(endpoint: str) -> "subprocess.Popen[str]":
+    environment = os.environ | {"ARMSIGHT_CONNECT": endpoint, "ARMSIGHT_SHARED_MEMORY": "off"}
+    return subprocess.Popen([sys.executable, "-c", SERVICE], env=environment, stdout=subprocess.PIPE, text=True)
+
+
+def test_service_started_before_the_router_joins_when_it_comes(endpoint: str) -> None:
+    process = run_probe(endpoint)
+    assert process.stdout is not None
+    try:
+        time.sleep(1.0)
+        assert process.poll() is None
+        router = open_session(
+            SessionConfig(mode="router", endpoints=(endpoint,), namespace="", shared_memory="off"), threading.Event()
+        )
+        assert router is not None
+        with router:
+            assert process.stdout.readline() == "running\n"
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(2.0) == 0
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_sigterm_ends_a_service_that_still_waits_for_the_router(endpoint: str) -> None:
+    process = run_probe(endpoint)
+    try:
+        time.sleep(1.0)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(2.0) == 0
+    finally:
+        process.kill()
+        process.wait()
