@@ -1,0 +1,69 @@
+# Ways in: make run, make test, make lint, make bench. Each sets up what it needs first.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+PYTHON_PACKAGES := proto services/sim services/control services/operator
+VENV := .venv
+BIN := $(VENV)/bin
+UV := $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python
+# TORCH=cpu takes torch's CPU build, a tenth of the default's size (uv knows where it is).
+TORCH ?=
+PYTEST_ARGS ?=
+
+.PHONY: help setup run test test-long lint format bench bench-vision bench-ik bench-loop lock clean vision system
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+
+setup: system $(VENV)/.installed vision  ## install what is missing, build everything
+
+system:
+	@tools/check-toolchain.sh
+	@tools/install-apt-packages.sh
+
+$(BIN)/uv:
+	python3 -m venv $(VENV)
+	$(BIN)/pip install --quiet uv
+
+$(VENV)/.installed: $(BIN)/uv requirements.txt $(PYTHON_PACKAGES:=/pyproject.toml) $(wildcard proto/armsight/v1/*.proto)
+	@echo "installing Python packages into $(VENV)"
+	$(UV) $(if $(TORCH),--torch-backend $(TORCH)) -r requirements.txt
+	$(UV) --no-deps --no-build-isolation --reinstall $(addprefix -e ,$(PYTHON_PACKAGES))
+	@touch $@
+
+vision: $(VENV)/.installed
+	@[ -f build/vision/build.ninja ] || cmake -S services/vision_cpp -B build/vision -G Ninja -DCMAKE_BUILD_TYPE=Release
+	@cmake --build build/vision
+
+run: setup  ## run the full stack on this machine until Ctrl-C
+	@exec $(BIN)/armsight up
+
+test: setup  ## every test that fits into minutes
+	tools/test.sh
+
+test-long: setup  ## fuzz, fault and soak suites in full
+	$(BIN)/pytest -m long --timeout 3600 $(PYTHON_PACKAGES) tests $(PYTEST_ARGS)
+
+lint: setup  ## formatters, linters and type checkers, all of them
+	tools/lint.sh
+
+format: setup  ## rewrite everything the way lint wants it
+	$(BIN)/ruff check --fix $(PYTHON_PACKAGES) tests bench
+	$(BIN)/ruff format $(PYTHON_PACKAGES) tests bench
+	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format -i
+	cargo fmt --manifest-path services/vision_cpp/zenoh_bridge/Cargo.toml
+
+bench: bench-vision bench-ik bench-loop  ## every benchmark; results in bench/results
+
+bench-vision bench-ik bench-loop: setup
+	$(BIN)/python bench/$(subst -,_,$(@:bench-%=%))_bench.py
+
+lock: $(BIN)/uv  ## pin the Python dependencies anew
+	$(BIN)/uv pip compile --system-certs --quiet --no-header --no-emit-index-url --no-annotate --python-version 3.11 \
+	    --output-file requirements.txt requirements.in $(PYTHON_PACKAGES:=/pyproject.toml)
+
+clean:  ## remove what setup and the tests made
+	rm -rf $(VENV) build armsight-out

@@ -1,0 +1,73 @@
+"""Benchmark results: written as JSON for programs, printed as a table for people."""
+
+import json
+import statistics
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+RESULTS = Path(__file__).parent / "results"
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One figure beside the reference that was measured in the same run."""
+
+    name: str
+    value: float
+    unit: str
+    reference: str
+    """What it is compared with; empty where it stands alone."""
+    ratio: float | None
+    """The figure divided by the reference's."""
+    bar: str
+    """What was promised, for a person; empty where nothing was."""
+    holds: bool | None
+
+
+def compare(name: str, value: float, unit: str, reference: str, reference_value: float) -> Result:
+    """A figure beside a reference, nothing promised."""
+    return Result(name, value, unit, reference, value / reference_value, "", None)
+
+
+def at_most(name: str, value: float, unit: str, bar: float) -> Result:
+    """A figure with an upper bar."""
+    return Result(name, value, unit, "", None, f"<= {bar:g} {unit}", value <= bar)
+
+
+def at_least(name: str, value: float, unit: str, bar: float) -> Result:
+    """A figure with a lower bar."""
+    return Result(name, value, unit, "", None, f">= {bar:g} {unit}", value >= bar)
+
+
+def percentile(values: Sequence[float], percent: float) -> float:
+    """The value that ``percent`` of all values do not exceed, interpolated.
+
+    Raises:
+        ValueError: no values.
+    """
+    if not values:
+        raise ValueError("no values to take a percentile of")
+    ordered = sorted(values)
+    if len(ordered) == 1:
+        return ordered[0]
+    cuts = statistics.quantiles(ordered, n=1000, method="inclusive")
+    return cuts[min(max(round(percent * 10) - 1, 0), 998)]
+
+
+def publish(area: str, results: Sequence[Result]) -> None:
+    """Writes ``results/{area}.json`` and prints the same as a table."""
+    RESULTS.mkdir(exist_ok=True)
+    file = RESULTS / f"{area}.json"
+    file.write_text(json.dumps([asdict(result) for result in results], indent=1) + "\n", encoding="utf-8")
+    table = Table(title=f"bench: {area}")
+    for column in ("figure", "value", "unit", "reference", "ratio", "bar", "holds"):
+        table.add_column(column)
+    for r in results:
+        ratio = "" if r.ratio is None else f"{r.ratio:.2f}"
+        holds = "" if r.holds is None else ("yes" if r.holds else "NO")
+        table.add_row(r.name, f"{r.value:.4g}", r.unit, r.reference, ratio, r.bar, holds)
+    Console(width=160).print(table)
