@@ -1,0 +1,65 @@
+"""What control is asked to do, checked when it is asked."""
+
+import math
+from dataclasses import dataclass
+
+from armsight.v1.control_pb2 import (
+    CONTROL_MODE_FOLLOW,
+    CONTROL_MODE_HOLD,
+    CONTROL_MODE_JOINTS,
+    CONTROL_MODE_TEST_1,
+    CONTROL_MODE_TEST_2,
+    CONTROL_MODE_TRACK,
+    ControlMode,
+    SetModeRequest,
+)
+from armsight_control.chain import Array, Chain
+from armsight_control.errors import ModeError
+from armsight_control.setpoints import configuration
+
+NAMES: dict[str, ControlMode] = {
+    "hold": CONTROL_MODE_HOLD,
+    "joints": CONTROL_MODE_JOINTS,
+    "test-1": CONTROL_MODE_TEST_1,
+    "test-2": CONTROL_MODE_TEST_2,
+    "track": CONTROL_MODE_TRACK,
+}
+
+INITIAL_NAMES = tuple(name for name in NAMES if name != "joints")
+"""Those that need no more than their name."""
+
+_MAX_START_S = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A mode with what belongs to it."""
+
+    mode: ControlMode
+    goal: Array | None = None
+    """For `joints`."""
+    start_s: float = 0.0
+    """For the tests: where on their time axis to begin."""
+
+
+def mode_of(request: SetModeRequest, chain: Chain | None) -> Mode:
+    """Checks a request.
+
+    Raises:
+        ModeError: an unknown mode, or one that can't be taken now.
+        SetpointError: joints that this arm can't take.
+    """
+    if request.mode == CONTROL_MODE_FOLLOW:
+        raise ModeError("follow needs the orange marker on joints/positions, which vision does not publish yet")
+    if request.mode not in NAMES.values():
+        raise ModeError(f"no mode {request.mode}; there are {', '.join(NAMES)}")
+    if not 0 <= request.start_s <= _MAX_START_S:
+        raise ModeError(f"start_s {request.start_s:g} is not within 0 to {_MAX_START_S:g} s")
+    if request.mode != CONTROL_MODE_JOINTS:
+        return Mode(request.mode, start_s=request.start_s)
+    if chain is None:
+        raise ModeError("the arm's description has not arrived yet: is sim running?")
+    given = {joint.name: joint.position_rad for joint in request.joints if math.isfinite(joint.position_rad)}
+    if len(given) != len(request.joints):
+        raise ModeError("a joint is there twice, or its angle is not finite")
+    return Mode(request.mode, goal=configuration(given, chain))

@@ -1,0 +1,267 @@
+r"""Marker positions from the cameras: checked, in the base frame, and turned into the directions of links 3 and 4.
+
+The markers' centres are not at the joints. Those on the last link lie on its axis, ``s`` metres from joint 4, so
+
+.. math:: r_4 \parallel p_{red} - p_{blue}, \quad joint_4 = p_i - s_i r_4, \quad r_3 \parallel joint_4 - shoulder.
+
+Both links' lengths are known: the directions are the two unit vectors that explain all markers of the last link best,
+each weighted by its covariance. A marker that only one camera sees, vague along that camera's ray, then helps where it
+is good and does no harm where it is not.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from armsight.times import NS_PER_S
+from armsight.v1.joints_pb2 import (
+    MARKER_STATUS_LOST,
+    MARKER_STATUS_ONE_VIEW,
+    MARKER_STATUS_PARTLY_OCCLUDED,
+    MARKER_STATUS_TRACKED,
+    JointPositions,
+    MarkerPosition,
+)
+from armsight_control.chain import Array, Chain
+from armsight_control.description import Arm
+from armsight_control.errors import PositionsError, UnsupportedArmError
+from armsight_control.kinematics import frames, position
+
+# Farther than any scene: what lies beyond is a broken message.
+_MAX_POSITION_M = 1e4
+# Lower than any camera's: a covariance of zero must not outweigh all else.
+_FLOOR_M = 1e-3
+# Distances may be off by this much beyond their own uncertainty: centroids of half-hidden spheres are off by up to
+# 0.11 m each. It is a guard against wild values, not a measure of quality.
+_DISTANCE_SLACK_M = 0.25
+_DISTANCE_SIGMAS = 4.0
+# The tip must be known this well (one standard deviation) for the arm to be moved by sight.
+_TIP_SIGMA_MAX_M = 0.5
+_FIT_STEPS = 3
+
+_USABLE = (MARKER_STATUS_TRACKED, MARKER_STATUS_PARTLY_OCCLUDED, MARKER_STATUS_ONE_VIEW)
+
+
+@dataclass(frozen=True, slots=True)
+class SeenMarker:
+    """One marker that at least one camera saw at this instant; base frame."""
+
+    position: Array
+    covariance: Array
+    one_view: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Positions:
+    """Markers of one instant that may be used as measurements."""
+
+    capture_ns: int
+    seen: Mapping[str, SeenMarker]
+
+
+@dataclass(frozen=True, slots=True)
+class Directions:
+    """Where links 3 and 4 point, and what follows from it; base frame, metres."""
+
+    r3: Array
+    r4: Array
+    joint4: Array
+    tip: Array
+    tip_sigma: float
+    """Standard deviation of the tip in its worst direction."""
+
+
+@dataclass(frozen=True, slots=True)
+class LastLinks:
+    """How the markers of the last link lie on its axis: derived once from the description."""
+
+    shoulder: Array
+    """Where link 3 begins: fixed in the base frame."""
+    length3: float
+    length4: float
+    along: Mapping[str, float]
+    """Marker name → metres from joint 4 along link 4."""
+
+
+def capture_of(message: JointPositions) -> int:
+    """The instant of the positions, Unix nanoseconds.
+
+    Raises:
+        PositionsError: not a time after 1970, or nanoseconds out of range.
+    """
+    stamp = message.capture_time
+    if stamp.seconds < 0 or stamp.seconds > 1 << 33 or not 0 <= stamp.nanos < NS_PER_S:
+        raise PositionsError("time", f"capture time {stamp.seconds} s {stamp.nanos} ns is not Unix time")
+    return stamp.seconds * NS_PER_S + stamp.nanos
+
+
+def positions_of(message: JointPositions, arm: Arm) -> Positions:
+    """Checks the message and takes its markers into the base frame; markers the arm does not have are left out.
+
+    Raises:
+        PositionsError: a value that no measurement can have.
+    """
+    seen: dict[str, SeenMarker] = {}
+    for marker in message.markers:
+        if marker.name not in arm.markers or marker.status == MARKER_STATUS_LOST:
+            continue
+        if marker.status not in _USABLE:
+            raise PositionsError("status", f"marker {marker.name} has no status: expected tracked, occluded or lost")
+        if marker.name in seen:
+            raise PositionsError("twice", f"marker {marker.name} is there twice")
+        seen[marker.name] = SeenMarker(
+            position=arm.world_to_base(_finite_position(marker)),
+            covariance=arm.R_world_base.T @ _covariance(marker) @ arm.R_world_base,
+            one_view=marker.status == MARKER_STATUS_ONE_VIEW,
+        )
+    return Positions(capture_of(message), seen)
+
+
+def last_links_of(arm: Arm) -> LastLinks:
+    """Finds the markers on the last link's axis and the fixed end of the link before it.
+
+    Raises:
+        UnsupportedArmError: the description has no two markers on that axis, or the shoulder moves.
+    """
+    chain, last = arm.chain, arm.chain.count - 1
+    length4 = float(np.linalg.norm(chain.tip.position))
+    if last < 1 or chain.tip.joint != last or length4 <= 0:
+        raise UnsupportedArmError("the tip is not on the last joint's link")
+    axis = chain.tip.position / length4
+    along = {
+        name: float(point.position @ axis)
+        for name, point in arm.markers.items()
+        if point.joint == last and np.linalg.norm(point.position - (point.position @ axis) * axis) < _FLOOR_M
+    }
+    if len(along) < 2 or max(along.values()) - min(along.values()) < 0.1:
+        raise UnsupportedArmError(f"two markers on the last link's axis are needed, the description has {list(along)}")
+    shoulder = _fixed_origins(chain).get(last - 1)
+    if shoulder is None:
+        raise UnsupportedArmError("the joint before the last one moves in space: r3 can't be told from its end")
+    return LastLinks(shoulder, float(np.linalg.norm(chain.origins[last])), length4, along)
+
+
+def directions_of(positions: Positions, links: LastLinks) -> Directions:
+    """The unit vectors along links 3 and 4 that explain the markers of the last link best.
+
+    Raises:
+        PositionsError: a needed marker is lost, or what is left is too vague.
+    """
+    lost = [name for name in links.along if name not in positions.seen]
+    if lost:
+        raise PositionsError("lost", f"{' and '.join(lost)} can't be seen by any camera")
+    names = sorted(links.along, key=lambda name: links.along[name])
+    points = np.array([positions.seen[name].position for name in names])
+    along = np.array([links.along[name] for name in names])
+    floor = np.eye(3) * _FLOOR_M**2
+    whiten = [np.linalg.inv(np.linalg.cholesky(positions.seen[name].covariance + floor)) for name in names]
+
+    r4 = _unit(points[-1] - points[0])
+    r3 = _unit(points[0] - along[0] * r4 - links.shoulder)
+    design = np.empty((3 * len(names), 4))
+    for _ in range(_FIT_STEPS):
+        tangent3, tangent4 = _tangents(r3), _tangents(r4)
+        residual = np.empty(3 * len(names))
+        for i, (point, s, w) in enumerate(zip(points, along, whiten, strict=True)):
+            rows = slice(3 * i, 3 * i + 3)
+            residual[rows] = w @ (point - links.shoulder - links.length3 * r3 - s * r4)
+            design[rows, :2] = w @ tangent3 * links.length3
+            design[rows, 2:] = w @ tangent4 * s
+        information = design.T @ design
+        step = np.linalg.solve(information, design.T @ residual)
+        r3, r4 = _unit(r3 + tangent3 @ step[:2]), _unit(r4 + tangent4 @ step[2:])
+    tip_by_step = np.hstack([tangent3 * links.length3, tangent4 * links.length4])
+    tip_covariance = tip_by_step @ np.linalg.solve(information, tip_by_step.T)
+    tip_sigma = float(np.sqrt(np.linalg.eigvalsh(tip_covariance)[-1]))
+    if tip_sigma > _TIP_SIGMA_MAX_M:
+        raise PositionsError("vague", f"the tip is known to ±{tip_sigma:.2f} m only: another camera must see the arm")
+    joint4 = links.shoulder + links.length3 * r3
+    return Directions(r3, r4, joint4, joint4 + links.length4 * r4, tip_sigma)
+
+
+class DistanceBounds:
+    """The least and greatest distances that the arm allows between its markers, and to its points that never move."""
+
+    def __init__(self, arm: Arm) -> None:
+        """Samples the arm's configurations, their corners included."""
+        rng = np.random.default_rng(0)
+        lower, upper = arm.chain.limits.T
+        middle = np.clip(0.0, lower, upper)
+        choices = np.stack([lower, middle, upper, *(rng.uniform(lower, upper) for _ in range(3))])
+        picked = rng.integers(len(choices), size=(4096, arm.chain.count))
+        q = np.take_along_axis(choices, picked, axis=0)
+        places = {name: position(arm.chain, q, point) for name, point in arm.markers.items()}
+        fixed = {f"joint {i + 1}": place for i, place in _fixed_origins(arm.chain).items()}
+        self._fixed = fixed
+        self._bounds: list[tuple[str, str, float, float]] = []
+        others: dict[str, Array] = {**places, **fixed}
+        for name, place in places.items():
+            for other in (*(other for other in places if other > name), *fixed):
+                distance = np.linalg.norm(place - others[other], axis=-1)
+                self._bounds.append((name, other, float(distance.min()), float(distance.max())))
+
+    def check(self, positions: Positions) -> None:
+        """Compares the markers of one instant with what the arm allows.
+
+        Raises:
+            PositionsError: two markers are nearer or farther than they can be, given their covariances.
+        """
+        for name, other, least, greatest in self._bounds:
+            first, second = positions.seen.get(name), positions.seen.get(other)
+            place = second.position if second is not None else self._fixed.get(other)
+            if first is None or place is None:
+                continue
+            between = first.position - place
+            distance = float(np.sqrt(between @ between))
+            spread = first.covariance if second is None else first.covariance + second.covariance
+            sigma = math.sqrt(max(0.0, float(between @ spread @ between))) / max(distance, 1e-9)
+            slack = _DISTANCE_SLACK_M + _DISTANCE_SIGMAS * sigma
+            if not least - slack <= distance <= greatest + slack:
+                text = f"{name} is {distance:.2f} m from {other}; this arm allows {least:.2f} to {greatest:.2f} m"
+                raise PositionsError("implausible", text)
+
+
+def _fixed_origins(chain: Chain) -> dict[int, Array]:
+    """Origins of the joints that stay where they are whatever the angles."""
+    rng = np.random.default_rng(0)
+    _, origins = frames(chain, rng.uniform(chain.limits[:, 0], chain.limits[:, 1], size=(8, chain.count)))
+    moved = (origins.max(axis=0) - origins.min(axis=0)).max(axis=-1)
+    return {i: origins[0, i + 1] for i in range(chain.count) if moved[i + 1] < _FLOOR_M * _FLOOR_M}
+
+
+def _finite_position(marker: MarkerPosition) -> Array:
+    place = np.array([marker.position.x, marker.position.y, marker.position.z])
+    if not marker.HasField("position") or not (np.abs(place) < _MAX_POSITION_M).all():
+        raise PositionsError("position", f"marker {marker.name} has no finite position within {_MAX_POSITION_M:g} m")
+    return place
+
+
+def _covariance(marker: MarkerPosition) -> Array:
+    values = np.array(marker.covariance)
+    if values.shape != (9,) or not (np.abs(values) < _MAX_POSITION_M**2).all():
+        raise PositionsError("covariance", f"marker {marker.name} has no finite 3x3 covariance")
+    matrix = values.reshape(3, 3)
+    scale = float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > 1e-6 * scale or np.linalg.eigvalsh(matrix)[0] < -1e-6 * scale:
+        raise PositionsError("covariance", f"marker {marker.name} has a covariance that is not symmetric and positive")
+    symmetric: Array = (matrix + matrix.T) / 2
+    # rounding may leave it a little below zero: the fit must be able to factorise it
+    return symmetric + np.eye(3) * 1e-6 * scale
+
+
+def _unit(vector: Array) -> Array:
+    length = float(np.sqrt(vector @ vector))
+    if length < 1e-9:
+        raise PositionsError("implausible", "two markers are in one place")
+    return np.asarray(vector / length)
+
+
+def _tangents(unit: Array) -> Array:
+    """Two unit vectors across a third, as columns."""
+    smallest = np.zeros(3)
+    smallest[int(np.argmin(np.abs(unit)))] = 1.0
+    first = np.cross(unit, smallest)
+    first /= np.sqrt(first @ first)
+    return np.column_stack([first, np.cross(unit, first)])

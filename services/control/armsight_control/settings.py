@@ -1,0 +1,73 @@
+"""The configuration of the service, from its flags."""
+
+import argparse
+from dataclasses import dataclass
+
+from armsight.service import add_service_arguments
+from armsight_control.modes import INITIAL_NAMES
+from armsight_control.solvers.problem import Options
+from armsight_control.solvers.start import INITIALISATIONS, Initialisation
+from armsight_control.trajectory import MotionLimits
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is in force; answered on `control/parameters`."""
+
+    mode: str
+    solver: str
+    initialisation: Initialisation
+    seed: int
+    ik: Options
+    motion: MotionLimits
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of `armsight-control`."""
+    defaults, motion = Options(), MotionLimits()
+    flags = argparse.ArgumentParser(
+        prog="armsight-control",
+        description="Turns joint positions into joint angles and commands the joints; runs until SIGTERM.",
+    )
+    add_service_arguments(flags)
+    control = flags.add_argument_group("control")
+    control.add_argument("--mode", choices=INITIAL_NAMES, default="hold", help="mode to begin with (default: hold)")
+    control.add_argument(
+        "--speed", type=float, default=motion.speed_share, help="share of the joints' speed (default: %(default)s)"
+    )
+    control.add_argument(
+        "--ramp", type=float, default=motion.ramp_s, help="seconds from rest to that speed (default: %(default)s)"
+    )
+    control.add_argument(
+        "--seed", type=int, default=0, help="of all random numbers, so that runs repeat (default: %(default)s)"
+    )
+    ik = flags.add_argument_group("inverse kinematics")
+    ik.add_argument("--solver", default="gradient-descent", help="default: %(default)s")
+    ik.add_argument(
+        "--initialisation",
+        choices=INITIALISATIONS,
+        default="random",
+        help="start of a query that gives none; track always goes on from its last solution (default: %(default)s)",
+    )
+    ik.add_argument("--alpha", type=float, default=defaults.alpha, help="step size (default: %(default)s)")
+    ik.add_argument(
+        "--tolerance", type=float, default=defaults.tolerance_m, help="mean absolute error, m (default: %(default)s)"
+    )
+    ik.add_argument("--max-steps", type=int, default=defaults.max_steps, help="of one descent (default: %(default)s)")
+    return flags
+
+
+def settings_of(arguments: argparse.Namespace) -> Settings:
+    """Checks the flags.
+
+    Raises:
+        ControlError: a value that can't work.
+    """
+    return Settings(
+        mode=arguments.mode,
+        solver=arguments.solver,
+        initialisation=arguments.initialisation,
+        seed=arguments.seed,
+        ik=Options(alpha=arguments.alpha, tolerance_m=arguments.tolerance, max_steps=arguments.max_steps),
+        motion=MotionLimits(speed_share=arguments.speed, ramp_s=arguments.ramp),
+    )

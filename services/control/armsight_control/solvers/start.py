@@ -1,0 +1,47 @@
+"""Where a descent starts: the report's three initialisations."""
+
+from typing import Literal
+
+import numpy as np
+
+from armsight_control.chain import Array, Chain
+
+Initialisation = Literal["fixed", "previous", "random"]
+INITIALISATIONS: tuple[Initialisation, ...] = ("fixed", "previous", "random")
+
+SIGMA_RAD = 0.005
+"""Of the report's q0 ~ N(0, 0.005), read as the standard deviation."""
+
+FIXED_JOINT = 1
+"""The report's inverse kinematics keeps joint 2 at 0."""
+
+
+def start(
+    chain: Chain, initialisation: Initialisation, fixed: Array, previous: Array | None, rng: np.random.Generator
+) -> Array:
+    """The configuration to start from, joint 2 at 0, inside the limits.
+
+    Args:
+        chain: the arm.
+        initialisation: which of the three.
+        fixed: the seed configuration of `fixed`.
+        previous: the last solution, for `previous`; without one it starts as `random` does.
+        rng: source of `random`.
+    """
+    if initialisation == "fixed":
+        return with_joint2_at_0(chain, fixed)
+    if initialisation == "previous" and previous is not None:
+        return with_joint2_at_0(chain, previous)
+    return perturbed(chain, np.zeros(chain.count), rng)
+
+
+def perturbed(chain: Chain, q: Array, rng: np.random.Generator) -> Array:
+    """A configuration with the report's noise on top, joint 2 at 0."""
+    return with_joint2_at_0(chain, q + rng.normal(0.0, SIGMA_RAD, chain.count))
+
+
+def with_joint2_at_0(chain: Chain, q: Array) -> Array:
+    """The configuration inside the limits and with joint 2 at 0."""
+    moved = chain.clip(q)
+    moved[FIXED_JOINT] = 0.0
+    return moved
