@@ -155,6 +155,11 @@ class Loop:
         return self._mode.mode
 
     @property
+    def answered(self) -> bool:
+        """Whether positions were answered, of the sim that is there now."""
+        return self._last is not None
+
+    @property
     def setpoint(self) -> Array | None:
         """The setpoint in force, once accepted."""
         return self._setpoints.in_force(self._last.capture_ns if self._last is not None else 0)
@@ -235,12 +240,12 @@ class Loop:
         if solved is not None:
             start = solved.solution.q
             if np.array_equal(solved.target.position, self._target.position):
-                if solved.solution.status != Status.STEP_LIMIT or self._descents >= _MOST_DESCENTS:
+                if solved.solution.converged or self._descents >= _MOST_DESCENTS:
                     return None
             else:
                 self._descents = 0
         chain = self._body.arm.chain
-        if solved is None or solved.solution.status == Status.STEP_LIMIT:
+        if solved is None or not solved.solution.converged:
             # straight poses are saddles of the error: a descent that starts on one exactly stays there
             start = perturbed(chain, start, self._rng)
         return self._target, Problem(chain, self._target.position, start, self._options)

@@ -1,6 +1,7 @@
 """What control is asked to do, checked when it is asked."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from armsight.v1.control_pb2 import (
@@ -13,8 +14,9 @@ from armsight.v1.control_pb2 import (
     ControlMode,
     SetModeRequest,
 )
+from armsight.v1.joints_pb2 import JointSetpoint
 from armsight_control.chain import Array, Chain
-from armsight_control.errors import ModeError
+from armsight_control.errors import ModeError, SetpointError
 from armsight_control.setpoints import configuration
 
 NAMES: dict[str, ControlMode] = {
@@ -59,7 +61,18 @@ def mode_of(request: SetModeRequest, chain: Chain | None) -> Mode:
         return Mode(request.mode, start_s=request.start_s)
     if chain is None:
         raise ModeError("the arm's description has not arrived yet: is sim running?")
-    given = {joint.name: joint.position_rad for joint in request.joints if math.isfinite(joint.position_rad)}
-    if len(given) != len(request.joints):
-        raise ModeError("a joint is there twice, or its angle is not finite")
-    return Mode(request.mode, goal=configuration(given, chain))
+    return Mode(request.mode, goal=configuration_of(request.joints, chain))
+
+
+def configuration_of(joints: Iterable[JointSetpoint], chain: Chain) -> Array:
+    """The joints of a request, in the arm's order.
+
+    Raises:
+        SetpointError: not every joint of the arm once, not finite, or outside of the limits.
+    """
+    given: dict[str, float] = {}
+    for joint in joints:
+        if joint.name in given or not math.isfinite(joint.position_rad):
+            raise SetpointError(f"{joint.name} is there twice, or its angle is not finite")
+        given[joint.name] = joint.position_rad
+    return configuration(given, chain)

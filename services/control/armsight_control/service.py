@@ -1,4 +1,8 @@
-"""armsight-control on the bus: answers every `joints/positions` with a command, an estimate and a status."""
+"""armsight-control on the bus: answers every `joints/positions` with a command, an estimate and a status.
+
+In real time inverse kinematics is solved beside the loop and a frame is answered with the newest solution there is; in
+lockstep the answer waits for the solution of the present target, so that runs repeat.
+"""
 
 import gc
 import sys
@@ -10,6 +14,7 @@ from armsight.errors import ArmsightError
 from armsight.service import EXIT_CONFIG, Context, run_service
 from armsight.times import wall_ns
 from armsight.topics import (
+    CLOCK,
     CONTROL_STATUS,
     DESCRIPTION,
     FORWARD_KINEMATICS,
@@ -18,28 +23,26 @@ from armsight.topics import (
     JOINTS_ACCEPTED,
     JOINTS_ESTIMATED,
     MODE,
+    SOLVE_IK,
     STOP_STATE,
     TARGET,
 )
 from armsight.v1.control_pb2 import (
+    CONTROL_MODE_TRACK,
     CONTROL_STATE_BLIND,
     CONTROL_STATE_WAITING,
     ControlStatus,
-    ForwardKinematicsRequest,
-    ForwardKinematicsResponse,
-    SetModeRequest,
-    SetModeResponse,
 )
-from armsight.v1.geometry_pb2 import Vector3
 from armsight.v1.health_pb2 import HEALTH_STATUS_DEGRADED, HEALTH_STATUS_OK, HEALTH_STATUS_WAITING
 from armsight.v1.joints_pb2 import JointPositions
-from armsight_control.errors import ModeError
-from armsight_control.kinematics import forward, jacobian
+from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP
 from armsight_control.latency import Latency
 from armsight_control.loop import Answer, Loop
-from armsight_control.modes import NAMES, Mode, mode_of
-from armsight_control.setpoints import configuration
+from armsight_control.modes import NAMES, Mode
+from armsight_control.pursuit import Pursuit
+from armsight_control.queries import Queries
 from armsight_control.settings import Settings, parser, settings_of
+from armsight_control.solvers import check_solver
 
 # Without positions for this long the status says so, and again as often.
 QUIET_S = 0.25
@@ -55,6 +58,8 @@ class Service:
         self._lock = threading.Lock()
         self._loop = Loop(settings.motion, settings.ik, settings.seed, bus.counters)
         self._loop.set_mode(Mode(NAMES[settings.mode]))
+        self._pursuit = Pursuit(self._loop, self._lock, settings.solver)
+        self._queries = Queries(self._loop, self._lock, self._pursuit.solvers, settings)
         self._latency = Latency()
         self._commands = bus.publisher(JOINT_COMMAND)
         self._estimates = bus.publisher(JOINTS_ESTIMATED)
@@ -63,9 +68,11 @@ class Service:
         bus.subscriber(JOINTS_ACCEPTED, on_message=lambda got: self._locked(self._loop.accept, got.message))
         bus.subscriber(STOP_STATE, on_message=lambda got: self._locked(self._loop.stop, got.message))
         bus.subscriber(TARGET, on_message=lambda got: self._locked(self._loop.aim, got.message))
+        self._clock = bus.subscriber(CLOCK)
         bus.presence(self._seen)
-        bus.serve(MODE, self._set_mode)
-        bus.serve(FORWARD_KINEMATICS, self._forward)
+        bus.serve(MODE, self._queries.mode)
+        bus.serve(FORWARD_KINEMATICS, self._queries.forward_kinematics)
+        bus.serve(SOLVE_IK, self._queries.solve_ik)
         self._positions = bus.subscriber(JOINT_POSITIONS)
 
     def run(self) -> None:
@@ -76,12 +83,26 @@ class Service:
             if received is None:
                 self._report_quiet(monotonic() - heard)
                 continue
-            heard = received.received_s
-            received_ns = wall_ns() - round((monotonic() - received.received_s) * 1e9)
+            heard = monotonic()
+            age_s = heard - received.received_s
+            received_ns = wall_ns() - round(age_s * 1e9)
+            lockstep = self._lockstep()
+            if lockstep:
+                self._pursuit.catch_up(received.message, self._context.stop)
             with self._lock:
-                answer = self._loop.answer(received.message, monotonic() - received.received_s)
+                answer = self._loop.answer(received.message, age_s)
             if answer is not None:
                 self._send(answer, received, received_ns)
+            if not lockstep:
+                self._pursuit.go_on()
+
+    def close(self) -> None:
+        """Ends the solver's process."""
+        self._pursuit.solvers.close()
+
+    def _lockstep(self) -> bool:
+        clock = self._clock.latest
+        return clock is not None and clock.message.mode == CLOCK_MODE_LOCKSTEP
 
     def _send(self, answer: Answer, received: Received[JointPositions], received_ns: int) -> None:
         for stages in (answer.command.stages, answer.status.stages):
@@ -94,24 +115,31 @@ class Service:
         self._report(answer.status)
 
     def _report(self, status: ControlStatus) -> None:
-        health = self._context.health
-        for name, value in self._latency.gauges().items():
+        health, solver = self._context.health, self._pursuit.solvers
+        for name, value in (self._latency.gauges() | self._pursuit.gauges()).items():
             health.gauge(name, value)
         if status.state == CONTROL_STATE_WAITING:
             health.report(HEALTH_STATUS_WAITING, status.detail)
         elif status.state == CONTROL_STATE_BLIND:
             health.report(HEALTH_STATUS_DEGRADED, status.detail)
+        elif solver.trouble:
+            health.report(HEALTH_STATUS_DEGRADED, solver.trouble)
+        elif status.mode == CONTROL_MODE_TRACK and solver.loading:
+            health.report(HEALTH_STATUS_WAITING, "solver loading")
         else:
-            health.report(HEALTH_STATUS_OK)
+            health.report(HEALTH_STATUS_OK, "solver loading" if solver.loading else "")
 
     def _report_quiet(self, for_s: float) -> None:
         if self._loop.arm is None:
             detail = "no description of the arm yet: is sim running?"
         else:
-            detail = f"no positions for {for_s:.0f} s: is vision running?"
-        state = CONTROL_STATE_WAITING
-        self._statuses.put(ControlStatus(mode=self._loop.mode, state=state, detail=detail))
-        self._context.health.report(HEALTH_STATUS_WAITING, detail.replace(f"{for_s:.0f} s", "a while"))
+            detail = "no positions: is vision running?"
+        # an arm that was seen before and is not now may be moving: say blind
+        seen = self._loop.answered
+        state = CONTROL_STATE_BLIND if seen else CONTROL_STATE_WAITING
+        quiet = ControlStatus(mode=self._loop.mode, state=state, detail=f"{detail} (for {for_s:.1f} s)")
+        self._statuses.put(quiet)
+        self._context.health.report(HEALTH_STATUS_DEGRADED if seen else HEALTH_STATUS_WAITING, detail)
 
     def _locked(self, take, message) -> None:  # type: ignore[no-untyped-def]
         with self._lock:
@@ -121,29 +149,13 @@ class Service:
         if service == "sim" and here:
             self._locked(lambda _: self._loop.begin_anew(), None)
 
-    def _set_mode(self, request: SetModeRequest) -> SetModeResponse:
-        with self._lock:
-            if request.mode:
-                arm = self._loop.arm
-                self._loop.set_mode(mode_of(request, None if arm is None else arm.chain))
-            return SetModeResponse(mode=self._loop.mode)
-
-    def _forward(self, request: ForwardKinematicsRequest) -> ForwardKinematicsResponse:
-        arm = self._loop.arm
-        if arm is None:
-            raise ModeError("the arm's description has not arrived yet: is sim running?")
-        q = configuration({joint.name: joint.position_rad for joint in request.joints}, arm.chain)
-        tip = forward(arm.chain, q)
-        return ForwardKinematicsResponse(
-            tip=Vector3(x=tip[0], y=tip[1], z=tip[2]), jacobian=jacobian(arm.chain, q).ravel().tolist()
-        )
-
 
 def main() -> int:
     """The console script."""
     arguments = parser().parse_args()
     try:
         settings = settings_of(arguments)
+        check_solver(settings.solver)
     except ArmsightError as error:
         print(f"control: {error}", file=sys.stderr)
         return EXIT_CONFIG
@@ -152,7 +164,10 @@ def main() -> int:
         service = Service(context, settings)
         # what is there by now stays: collecting it again and again would only add to the slowest answers
         gc.freeze()
-        service.run()
+        try:
+            service.run()
+        finally:
+            service.close()
 
     return run_service("control", arguments, settings, body, shared_memory="off")
 

@@ -61,3 +61,5 @@ class Solution:
     """Euclidean distance of tip and target."""
     iterations: int
     status: Status
+    converged: bool
+    """Whether the tip is where the solver meant to put it: at the target, or at the reachable point nearest to it."""

@@ -12,24 +12,24 @@ INITIALISATIONS: tuple[Initialisation, ...] = ("fixed", "previous", "random")
 SIGMA_RAD = 0.005
 """Of the report's q0 ~ N(0, 0.005), read as the standard deviation."""
 
+FIXED_RAD = 0.5
+"""Of `fixed`, every free joint: away from the straight poses, where the error has saddles."""
+
 FIXED_JOINT = 1
 """The report's inverse kinematics keeps joint 2 at 0."""
 
 
-def start(
-    chain: Chain, initialisation: Initialisation, fixed: Array, previous: Array | None, rng: np.random.Generator
-) -> Array:
+def start(chain: Chain, initialisation: Initialisation, previous: Array | None, rng: np.random.Generator) -> Array:
     """The configuration to start from, joint 2 at 0, inside the limits.
 
     Args:
         chain: the arm.
         initialisation: which of the three.
-        fixed: the seed configuration of `fixed`.
         previous: the last solution, for `previous`; without one it starts as `random` does.
         rng: source of `random`.
     """
     if initialisation == "fixed":
-        return with_joint2_at_0(chain, fixed)
+        return with_joint2_at_0(chain, np.full(chain.count, FIXED_RAD))
     if initialisation == "previous" and previous is not None:
         return with_joint2_at_0(chain, previous)
     return perturbed(chain, np.zeros(chain.count), rng)

@@ -1,0 +1,148 @@
+import math
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import pytest
+
+from armsight_control.chain import Array, Chain, Point
+from armsight_control.description import Arm
+from armsight_control.errors import JointCountError, UnsupportedArmError
+from armsight_control.kinematics import (
+    Links,
+    denavit_hartenberg,
+    denavit_hartenberg_product,
+    directions,
+    forward,
+    frames,
+    jacobian,
+    links_of,
+    position,
+    report_forward,
+    report_jacobian,
+)
+
+LINKS = Links(4.0, 3.2, 2.8)
+
+
+def mujoco_model(chain: Chain) -> mujoco.MjModel:
+    """The same chain, built by MuJoCo's own means."""
+    body = f'<site name="tip" pos="{" ".join(map(repr, chain.tip.position.tolist()))}"/>'
+    for i in reversed(range(chain.count)):
+        origin, axis = (" ".join(map(repr, values.tolist())) for values in (chain.origins[i], chain.axes[i]))
+        inertial = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        body = f'<body pos="{origin}">{inertial}<joint axis="{axis}"/>{body}</body>'
+    return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+
+
+def random_chain(rng: np.random.Generator, count: int) -> Chain:
+    axes = rng.normal(size=(count, 3))
+    return Chain(
+        names=tuple(f"j{i}" for i in range(count)),
+        origins=rng.normal(size=(count, 3)),
+        axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
+        limits=np.tile([-math.pi, math.pi], (count, 1)),
+        max_speed=np.ones(count),
+        tip=Point(count - 1, rng.normal(size=3)),
+    )
+
+
+@pytest.mark.parametrize("which", ["the report's arm", "six joints anywhere"])
+def test_forward_kinematics_and_jacobian_equal_mujocos(which: str, arm: Arm, rng: np.random.Generator) -> None:
+    chain = arm.chain if which == "the report's arm" else random_chain(rng, 6)
+    model = mujoco_model(chain)
+    data = mujoco.MjData(model)
+    for q in rng.uniform(-math.pi, math.pi, size=(200, chain.count)):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        by_mujoco = np.zeros((3, chain.count))
+        mujoco.mj_jacSite(model, data, by_mujoco, None, 0)
+        np.testing.assert_allclose(forward(chain, q), data.site_xpos[0], atol=1e-9)
+        np.testing.assert_allclose(jacobian(chain, q), by_mujoco, atol=1e-9)
+        rotations, origins = frames(chain, q)
+        np.testing.assert_allclose(rotations[1:], data.xmat[1:].reshape(-1, 3, 3), atol=1e-9)
+        np.testing.assert_allclose(origins[1:], data.xpos[1:], atol=1e-9)
+
+
+def test_jacobian_of_every_marker_is_the_derivative_of_its_position(arm: Arm, rng: np.random.Generator) -> None:
+    step = 1e-6
+    for q in rng.uniform(-1.5, 1.5, size=(50, 4)):
+        for point in arm.markers.values():
+            ahead = position(arm.chain, q + step * np.eye(4), point)
+            behind = position(arm.chain, q - step * np.eye(4), point)
+            np.testing.assert_allclose(jacobian(arm.chain, q, point), (ahead - behind).T / (2 * step), atol=1e-7)
+
+
+def test_a_batch_gives_what_single_configurations_give(arm: Arm, rng: np.random.Generator) -> None:
+    batch = rng.uniform(-1.5, 1.5, size=(5, 7, 4))
+    tips, slopes = forward(arm.chain, batch), jacobian(arm.chain, batch)
+    assert tips.shape == (5, 7, 3)
+    np.testing.assert_allclose(tips[3, 2], forward(arm.chain, batch[3, 2]), atol=1e-14)
+    np.testing.assert_allclose(slopes[3, 2], jacobian(arm.chain, batch[3, 2]), atol=1e-14)
+
+
+def test_a_wrong_number_of_angles_is_refused(arm: Arm) -> None:
+    with pytest.raises(JointCountError, match="3 angles for an arm of 4 joints"):
+        forward(arm.chain, np.zeros(3))
+
+
+def with_joint2_at_0(q: Array) -> Array:
+    return np.insert(q, 1, 0.0, axis=-1)
+
+
+def test_the_reports_closed_form_is_the_chain_with_joint_2_at_0(arm: Arm, rng: np.random.Generator) -> None:
+    q = rng.uniform(-math.pi, math.pi, size=(1000, 3))
+    full = with_joint2_at_0(q)
+    np.testing.assert_allclose(report_forward(LINKS, q), forward(arm.chain, full), atol=1e-13)
+    np.testing.assert_allclose(report_jacobian(LINKS, q), jacobian(arm.chain, full)[..., [0, 2, 3]], atol=1e-13)
+
+
+def test_the_reports_table_of_measured_poses_agrees_to_its_rounding() -> None:
+    # theta, phi, psi and the K that the report prints for them
+    rows = np.array([[2.3, 0.4, -0.2, 2.10, 1.13, 9.47], [-0.7, 1.2, 0.3, -2.89, -4.72, 6.13]])
+    np.testing.assert_allclose(report_forward(LINKS, rows[:, :3]), rows[:, 3:], atol=0.0051)
+
+
+def test_the_denavit_hartenberg_product_is_the_closed_form(arm: Arm, rng: np.random.Generator) -> None:
+    table = denavit_hartenberg(LINKS)
+    for q in rng.uniform(-math.pi, math.pi, size=(500, 3)):
+        tip = denavit_hartenberg_product(table, with_joint2_at_0(q))[:3, 3]
+        np.testing.assert_allclose(tip, report_forward(LINKS, q), atol=1e-12)
+    for q in rng.uniform(-math.pi, math.pi, size=(500, 4)):
+        product = denavit_hartenberg_product(table, q)
+        np.testing.assert_allclose(product[:3, 3], forward(arm.chain, q), atol=1e-12)
+        np.testing.assert_allclose(product[:3, 0], directions(q)[1], atol=1e-12)
+
+
+def test_directions_are_those_of_the_chains_links(arm: Arm, rng: np.random.Generator) -> None:
+    q = rng.uniform(-math.pi, math.pi, size=(100, 4))
+    r3, r4 = directions(q)
+    _, origins = frames(arm.chain, q)
+    np.testing.assert_allclose(origins[:, 4] - origins[:, 3], 3.2 * r3, atol=1e-12)
+    np.testing.assert_allclose(forward(arm.chain, q) - origins[:, 4], 2.8 * r4, atol=1e-12)
+
+
+def test_the_twin_puts_every_marker_in_the_same_place(arm: Arm, rng: np.random.Generator) -> None:
+    q = rng.uniform(-1.5, 1.5, size=(100, 4))
+    twin = np.array([math.pi, 0, 0, 0]) + q * [1, -1, -1, -1]
+    for point in arm.markers.values():
+        np.testing.assert_allclose(position(arm.chain, q, point), position(arm.chain, twin, point), atol=1e-12)
+
+
+def test_lengths_come_from_the_description(arm: Arm) -> None:
+    assert links_of(arm.chain) == LINKS
+
+
+def test_a_chain_of_another_shape_is_refused_with_what_is_expected(rng: np.random.Generator) -> None:
+    with pytest.raises(UnsupportedArmError, match="four joints about z, y, x and y"):
+        links_of(random_chain(rng, 4))
+
+
+def test_the_tables_rows_join_by_common_normals() -> None:
+    # what makes it a Denavit-Hartenberg table: each next axis meets this frame's x-axis at a right angle
+    frames_so_far = [np.eye(4)]
+    table = denavit_hartenberg(LINKS)
+    for i in range(len(table)):
+        frames_so_far.append(denavit_hartenberg_product(table[: i + 1], np.full(i + 1, 0.3)))
+    for before, after in pairwise(frames_so_far):
+        assert abs(before[:3, 2] @ after[:3, 0]) < 1e-12
