@@ -1,0 +1,1 @@
+"""What the cameras and the vision see, as one picture to look at."""

@@ -1,0 +1,200 @@
+"""The stack: the router and the services, each a process, on one endpoint."""
+
+import signal
+import socket
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from armsight.session import DEFAULT_NAMESPACE
+from armsight_operator.errors import OperatorError, PortInUseError
+from armsight_operator.stack.executables import find_executable
+from armsight_operator.stack.process import Process
+
+SERVICES = ("sim", "vision", "control")
+"""In the order in which data pass them."""
+
+NAMES = ("router", *SERVICES)
+
+STOP_TIMEOUT_S = 2.0
+"""A process that is not gone this long after SIGTERM is killed."""
+
+_HOST = "127.0.0.1"
+
+
+class Stack:
+    """Starts and stops the processes; nothing is started before it is asked for.
+
+    Args:
+        clock: sim's, ``realtime`` or ``lockstep``.
+        samples: sim's samples a pixel, 0 or 4.
+        fps: sim's frames a second.
+        start_time: sim's, RFC 3339, for runs that must repeat.
+        target: what sim publishes on `target`: ``none``, ``default``, ``exercise``, ``visible``.
+        mode: control's first mode.
+        out: folder for the logs (default: a new temporary one, left to whoever wants to read them).
+        port: of the router on the loopback interface; 0 takes a free one.
+        namespace: the robot's name on the bus.
+        extra: further flags by service.
+    """
+
+    def __init__(
+        self,
+        *,
+        clock: str = "realtime",
+        samples: int = 0,
+        fps: float = 30,
+        start_time: str | None = None,
+        target: str = "default",
+        mode: str = "track",
+        out: Path | None = None,
+        port: int = 0,
+        namespace: str = DEFAULT_NAMESPACE,
+        extra: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        """Chooses the port and makes the folder."""
+        self.port = port or free_port()
+        self.namespace = namespace
+        out = Path(tempfile.mkdtemp(prefix="armsight-")) if out is None else out
+        self.log_folder = out / "logs"
+        self._arguments = {
+            "router": ["router", "--listen", self.endpoint],
+            "sim": [
+                *("--clock", clock, "--samples", str(samples), "--fps", f"{fps:g}", "--target", target),
+                *(("--start-time", start_time) if start_time is not None else ()),
+            ],
+            "vision": [],
+            "control": ["--mode", mode],
+        }
+        for name, flags in (extra or {}).items():
+            self._arguments[_known(name)] += flags
+        for name in SERVICES:
+            self._arguments[name] += ["--connect", self.endpoint, "--namespace", namespace]
+        self._processes: dict[str, Process] = {}
+        # Processes die with the thread that started them: this one ends in close().
+        self._starter = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stack")
+        try:
+            self.log_folder.mkdir(parents=True, exist_ok=True)
+            for name in NAMES:
+                self.log_file(name).write_bytes(b"")
+        except OSError as error:
+            raise OperatorError(f"can't write logs to {self.log_folder}: {error.strerror}") from error
+
+    @property
+    def endpoint(self) -> str:
+        """Where the router listens, for ``--connect``."""
+        return f"tcp/{_HOST}:{self.port}"
+
+    def log_file(self, name: str) -> Path:
+        """Everything that a process wrote, over all of its lives."""
+        return self.log_folder / f"{_known(name)}.log"
+
+    def command(self, name: str) -> list[str]:
+        """The command line of a process.
+
+        Raises:
+            MissingExecutableError: it is not installed.
+        """
+        return [str(find_executable(_known(name))), *self._arguments[name]]
+
+    def start(self, name: str) -> None:
+        """Starts a process and returns at once; one that runs is left alone.
+
+        Raises:
+            MissingExecutableError: it is not installed.
+            PortInUseError: somebody else listens on the router's port.
+        """
+        if self.running(name):
+            return
+        command = self.command(name)
+        if name == "router":
+            check_port_free(self.port)
+        try:
+            self._processes[name] = self._starter.submit(Process, command, self.log_file(name)).result()
+        except OSError as error:
+            raise OperatorError(f"can't start {name}, {command[0]}: {error.strerror}") from error
+
+    def start_all(self) -> None:
+        """Starts the router and every service; what is missing is said before anything runs."""
+        for name in NAMES:
+            self.command(name)
+        for name in NAMES:
+            self.start(name)
+
+    def running(self, name: str) -> bool:
+        """Whether a process was started and has not ended."""
+        process = self._processes.get(_known(name))
+        return process is not None and process.poll() is None
+
+    def process(self, name: str) -> Process | None:
+        """The present or last life of a process."""
+        return self._processes.get(_known(name))
+
+    def kill(self, name: str, number: int = signal.SIGKILL) -> None:
+        """Sends a signal and waits until the process is gone, at most until it is killed for not ending."""
+        process = self._processes.get(_known(name))
+        if process is None:
+            raise OperatorError(f"{name} was never started")
+        process.send(number)
+        if not process.wait(STOP_TIMEOUT_S):
+            process.kill()
+
+    def stop(self, names: Sequence[str] = SERVICES, timeout_s: float = STOP_TIMEOUT_S) -> list[str]:
+        """SIGTERM to all named, SIGKILL to those that take longer; returns the names of the latter."""
+        deadline = time.monotonic() + timeout_s
+        ending = {name: self._processes[name] for name in names if name in self._processes}
+        for process in ending.values():
+            process.send(signal.SIGTERM)
+        late = [name for name, process in ending.items() if not process.wait(deadline - time.monotonic())]
+        for name in late:
+            ending[name].kill()
+        return late
+
+    def close(self) -> None:
+        """Ends everything: the services, then the router they still talk over. Never takes longer than two timeouts."""
+        self.stop(SERVICES, timeout_s=0.75 * STOP_TIMEOUT_S)
+        self.stop(("router",), timeout_s=0.2 * STOP_TIMEOUT_S)
+        self._starter.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def free_port() -> int:
+    """A port of the loopback interface that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind((_HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+def check_port_free(port: int) -> None:
+    """Whether a router can listen there.
+
+    Raises:
+        PortInUseError: it can't, and what to do.
+    """
+    with socket.socket() as probe:
+        # As the router does it: what is left of closed connections is not in the way.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((_HOST, port))
+        except OSError as error:
+            raise PortInUseError(
+                f"port {port} can't be used ({error.strerror}): does another `armsight up` or router run? "
+                "Stop it, or choose another port with --port"
+            ) from error
+
+
+def _known(name: str) -> str:
+    if name not in NAMES:
+        raise OperatorError(f"no process {name!r}; there are {', '.join(NAMES)}")
+    return name
