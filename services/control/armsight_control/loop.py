@@ -12,7 +12,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 
 from armsight.counters import Counters
-from armsight.times import to_duration, to_timestamp
+from armsight.times import NS_PER_S, to_duration, to_timestamp
 from armsight.v1.control_pb2 import (
     CONTROL_MODE_HOLD,
     CONTROL_MODE_JOINTS,
@@ -67,7 +67,7 @@ from armsight_control.trajectory import (
 
 # How long a command counts, in simulated time: MoveIt Servo's default.
 VALID_FOR_S = 0.1
-# Between two commands where the last one is not known: sim's 30 frames a second.
+# Since an answer that is not known: sim's 30 frames a second.
 _PERIOD_S = 1 / 30
 # An estimate this far from the setpoint in force is on a wrong branch, not late.
 _WRONG_BRANCH_RAD = 1.0
@@ -165,19 +165,28 @@ class Loop:
         return self._setpoints.in_force(self._last.capture_ns if self._last is not None else 0)
 
     def describe(self, message: ArmDescription) -> None:
-        """Takes the arm as sim describes it; the same description again changes nothing."""
+        """Takes the arm as sim describes it.
+
+        The same description again changes nothing, nor does one that describes no arm at all.
+        """
         serialised = message.SerializeToString(deterministic=True)
         if serialised == self._description:
+            return
+        try:
+            arm = arm_of(message)
+        except ControlError as error:
+            self._counters.add("description_refused")
+            if self._body is None:
+                self._unusable = f"the arm's description can't be used: {error}"
             return
         self._description, self._body = serialised, None
         self._setpoints.forget()
         self._rest()
         try:
-            arm = arm_of(message)
             links_of(arm.chain)
             self._body = _Body(arm, last_links_of(arm), DistanceBounds(arm))
         except ControlError as error:
-            self._counters.add("description_refused")
+            self._counters.add("description_unsupported")
             self._unusable = f"this arm can't be controlled: {error}"
             return
         if self._accepted is not None:
@@ -305,8 +314,8 @@ class Loop:
         stopped = safety.stopped_by(self._stop)
         if stopped is not None:
             return _Decision(CONTROL_STATE_STOPPED, stopped.detail, reason=stopped.reason)
-        dt_s = self._setpoints.since_command_s(capture_ns, _PERIOD_S, VALID_FOR_S)
-        return self._move(body, setpoint, Step(capture_ns, dt_s))
+        since_s = _PERIOD_S if self._last is None else (capture_ns - self._last.capture_ns) / NS_PER_S
+        return self._move(body, setpoint, Step(capture_ns, min(since_s, VALID_FOR_S)))
 
     def _look(self, message: JointPositions, body: _Body, setpoint: Array, age_s: float) -> Directions:
         positions = positions_of(message, body.arm)

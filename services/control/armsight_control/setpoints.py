@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
-from armsight.times import NS_PER_S
 from armsight_control.chain import Array, Chain
 from armsight_control.errors import SetpointError
 
@@ -98,9 +97,3 @@ class Setpoints:
         if self._last is None or capture_ns - self._last.capture_ns > _RECENT_NS:
             return self._accepted
         return self._last.q
-
-    def since_command_s(self, capture_ns: int, default_s: float, most_s: float) -> float:
-        """Simulated time since the last command, within (0, most_s]; the default where there was none lately."""
-        if self._last is None or capture_ns - self._last.capture_ns > _RECENT_NS:
-            return default_s
-        return min(most_s, (capture_ns - self._last.capture_ns) / NS_PER_S)

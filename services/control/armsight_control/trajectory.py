@@ -69,7 +69,7 @@ def towards(
         chain: the arm.
         setpoint: in force now.
         goal: where to; may move from answer to answer.
-        dt_s: of simulated time since the setpoint in force was commanded.
+        dt_s: of simulated time since the last answer.
         motion: what this function returned last, or at rest.
         limits: how fast.
     """
@@ -94,7 +94,7 @@ class Step:
 
     capture_ns: int
     dt_s: float
-    """Of simulated time since the setpoint in force was commanded."""
+    """Of simulated time since the last answer."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -140,9 +140,7 @@ def test_a_chain_of_another_shape_is_refused_with_what_is_expected(rng: np.rando
 
 def test_the_tables_rows_join_by_common_normals() -> None:
     # what makes it a Denavit-Hartenberg table: each next axis meets this frame's x-axis at a right angle
-    frames_so_far = [np.eye(4)]
     table = denavit_hartenberg(LINKS)
-    for i in range(len(table)):
-        frames_so_far.append(denavit_hartenberg_product(table[: i + 1], np.full(i + 1, 0.3)))
-    for before, after in pairwise(frames_so_far):
+    products = [denavit_hartenberg_product(table[:i], np.full(i, 0.3)) for i in range(len(table) + 1)]
+    for before, after in pairwise(products):
         assert abs(before[:3, 2] @ after[:3, 0]) < 1e-12

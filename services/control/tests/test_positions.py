@@ -1,5 +1,6 @@
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,12 +18,15 @@ from armsight_control.positions import (
     positions_of,
 )
 
+if TYPE_CHECKING:
+    from tests.conftest import Camera
+
 CAPTURE_NS = 1_700_000_000_123_456_789
 POSE = np.array([0.4, -0.3, 0.7, -0.9])
 
 
 def test_markers_give_the_directions_of_the_links_through_their_offsets(
-    arm: Arm, camera, rng: np.random.Generator
+    arm: Arm, camera: "Camera", rng: np.random.Generator
 ) -> None:
     links = last_links_of(arm)
     assert links.along == pytest.approx({"blue": 0.20, "red": 2.95})
@@ -35,7 +39,7 @@ def test_markers_give_the_directions_of_the_links_through_their_offsets(
         np.testing.assert_allclose(found.tip, forward(arm.chain, q), atol=1e-9)
 
 
-def test_a_vague_marker_is_weighted_by_its_covariance(arm: Arm, camera) -> None:
+def test_a_vague_marker_is_weighted_by_its_covariance(arm: Arm, camera: "Camera") -> None:
     # red seen by camera 1 alone, 0.3 m off along its ray (world x), and its covariance says so
     message = camera.positions(POSE, CAPTURE_NS, {"red": MARKER_STATUS_ONE_VIEW})
     red = next(marker for marker in message.markers if marker.name == "red")
@@ -46,7 +50,7 @@ def test_a_vague_marker_is_weighted_by_its_covariance(arm: Arm, camera) -> None:
     assert off < 0.05, f"the known lengths correct most of the 0.3 m, {off:.3f} m remain"
 
 
-def test_a_lost_marker_is_never_used(arm: Arm, camera) -> None:
+def test_a_lost_marker_is_never_used(arm: Arm, camera: "Camera") -> None:
     for name in ("blue", "red"):
         positions = positions_of(camera.positions(POSE, CAPTURE_NS, {name: MARKER_STATUS_LOST}), arm)
         assert name not in positions.seen
@@ -54,7 +58,7 @@ def test_a_lost_marker_is_never_used(arm: Arm, camera) -> None:
             directions_of(positions, last_links_of(arm))
 
 
-def test_markers_the_arm_does_not_have_are_left_out(arm: Arm, camera) -> None:
+def test_markers_the_arm_does_not_have_are_left_out(arm: Arm, camera: "Camera") -> None:
     message = camera.positions(POSE, CAPTURE_NS)
     message.markers.add(name="orange")
     assert "orange" not in positions_of(message, arm).seen
@@ -79,7 +83,7 @@ def test_markers_the_arm_does_not_have_are_left_out(arm: Arm, camera) -> None:
     ],
 )
 def test_values_that_no_measurement_has_are_refused(
-    reason: str, change: Callable[[JointPositions], None], arm: Arm, camera
+    reason: str, change: Callable[[JointPositions], None], arm: Arm, camera: "Camera"
 ) -> None:
     message = camera.positions(POSE, CAPTURE_NS)
     change(message)
@@ -88,11 +92,13 @@ def test_values_that_no_measurement_has_are_refused(
     assert refused.value.reason == reason
 
 
-def test_capture_time_is_exact_to_the_nanosecond(camera) -> None:
+def test_capture_time_is_exact_to_the_nanosecond(camera: "Camera") -> None:
     assert capture_of(camera.positions(POSE, CAPTURE_NS)) == CAPTURE_NS
 
 
-def test_poses_of_the_arm_are_plausible_and_wild_markers_are_not(arm: Arm, camera, rng: np.random.Generator) -> None:
+def test_poses_of_the_arm_are_plausible_and_wild_markers_are_not(
+    arm: Arm, camera: "Camera", rng: np.random.Generator
+) -> None:
     bounds = DistanceBounds(arm)
     camera.sigma_m = 0.02
     for q in rng.uniform(arm.chain.limits[:, 0], arm.chain.limits[:, 1], size=(300, 4)):
@@ -104,7 +110,7 @@ def test_poses_of_the_arm_are_plausible_and_wild_markers_are_not(arm: Arm, camer
             bounds.check(positions_of(message, arm))
 
 
-def test_positions_too_vague_to_move_by_are_refused(arm: Arm, camera) -> None:
+def test_positions_too_vague_to_move_by_are_refused(arm: Arm, camera: "Camera") -> None:
     message = camera.positions(POSE, CAPTURE_NS)
     for marker in message.markers:
         del marker.covariance[:]

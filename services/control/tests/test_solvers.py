@@ -105,7 +105,7 @@ def test_autograds_gradient_is_minus_two_thirds_of_the_jacobian_times_the_error(
 
 
 def test_the_descent_is_the_reports_to_the_letter(rng: np.random.Generator) -> None:
-    # the same in numpy with the hand-written gradient: q <- clamp(q + α ⅔ Jᵀ (target - K)), until MAE < 0.005 or 500 steps
+    # the same in numpy with the hand-written gradient: q <- clamp(q + α ⅔ Jᵀ (target - K)), to MAE < 0.005 or 500 steps
     from armsight_control.solvers import gradient_descent
 
     options = Options()
@@ -148,4 +148,4 @@ def test_an_unknown_solver_and_options_that_cannot_work_are_refused(arm: Arm) ->
         solve("newton", Problem(arm.chain, np.zeros(3), np.zeros(4)))
     for options in ({"alpha": 0.0}, {"alpha": math.nan}, {"tolerance_m": -1.0}, {"max_steps": 0}):
         with pytest.raises(ControlError, match="not"):
-            Options(**options)  # type: ignore[arg-type]
+            Options(**options)
