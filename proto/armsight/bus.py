@@ -86,8 +86,8 @@ class Subscriber(Generic[M]):
         self._latest: Received[M] | None = None
         self._lost = 0
         self._closed = False
-        self._thread = threading.Thread(target=self._read, name=f"read {inner.key_expr}", daemon=True)
-        self._thread.start()
+        self.thread = threading.Thread(target=self._read, name=f"read {inner.key_expr}", daemon=True)
+        self.thread.start()
 
     @property
     def latest(self) -> Received[M] | None:
@@ -120,7 +120,7 @@ class Subscriber(Generic[M]):
     def close(self) -> None:
         """Stops listening."""
         self._inner.undeclare()
-        self._thread.join(timeout=1.0)
+        self.thread.join(timeout=1.0)
 
     def _read(self) -> None:
         while True:
@@ -176,7 +176,8 @@ class Presence:
         self._alive: dict[str, int] = {}
         key = HEALTH.key_for("*")
         self._inner = session.liveliness().declare_subscriber(key, zenoh.handlers.RingChannel(64), history=True)
-        threading.Thread(target=self._read, name="presence", daemon=True).start()
+        self.thread = threading.Thread(target=self._read, name="presence", daemon=True)
+        self.thread.start()
 
     def alive(self) -> frozenset[str]:
         """Names of the services that are there."""
@@ -202,6 +203,16 @@ class Bus:
         """Takes an open session; whoever opened it closes it."""
         self.session = session
         self.counters = counters if counters is not None else Counters()
+        self._threads: list[threading.Thread] = []
+
+    def join(self, timeout_s: float = 1.0) -> None:
+        """Waits for the reading threads of a closed session.
+
+        One that is still inside Zenoh when the interpreter ends aborts the process ("exception not rethrown").
+        """
+        until = monotonic() + timeout_s
+        for thread in self._threads:
+            thread.join(timeout=max(0.0, until - monotonic()))
 
     def publisher(self, topic: Topic[M], name: str | None = None, *, block: bool | None = None) -> Publisher[M]:
         """Declares a publisher with the table's quality of service.
@@ -264,11 +275,15 @@ class Bus:
             )
         else:
             inner = self.session.declare_subscriber(key, ring)
-        return Subscriber(topic, inner, size, self.counters, on_message)
+        subscriber = Subscriber(topic, inner, size, self.counters, on_message)
+        self._threads.append(subscriber.thread)
+        return subscriber
 
     def presence(self, on_change: Callable[[str, bool], None] | None = None) -> Presence:
         """Watches which services are there."""
-        return Presence(self.session, on_change)
+        presence = Presence(self.session, on_change)
+        self._threads.append(presence.thread)
+        return presence
 
     def serve(
         self, query: Query[Request, Response], handler: Callable[[Request], Response], name: str | None = None
@@ -288,7 +303,9 @@ class Bus:
                 with asked:
                     self._answer(query, handler, asked)
 
-        threading.Thread(target=answer, name=f"serve {query.key}", daemon=True).start()
+        thread = threading.Thread(target=answer, name=f"serve {query.key}", daemon=True)
+        self._threads.append(thread)
+        thread.start()
 
     def query(
         self, query: Query[Request, Response], request: Request, name: str | None = None, *, timeout_s: float = 5.0
@@ -346,5 +363,9 @@ class Bus:
 @contextmanager
 def open_bus(session: zenoh.Session, counters: Counters | None = None) -> Iterator[Bus]:
     """A bus over a session that is closed on leaving."""
-    with session:
-        yield Bus(session, counters)
+    bus = Bus(session, counters)
+    try:
+        with session:
+            yield bus
+    finally:
+        bus.join()
