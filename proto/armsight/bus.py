@@ -53,10 +53,10 @@ class Publisher(Generic[M]):
         """Publishes a message; a put on a closed session is dropped."""
         self.put_bytes(message.SerializeToString())
 
-    def put_bytes(self, payload: bytes) -> None:
-        """Publishes a message that is serialised already (frames)."""
+    def put_bytes(self, payload: bytes, attachment: bytes | None = None) -> None:
+        """Publishes a message that is serialised already (frames), with bytes beside it where given."""
         try:
-            self._inner.put(payload)
+            self._inner.put(payload, attachment=attachment)
         except zenoh.ZError:
             log.debug("put on a closed session", extra={"key": str(self._inner.key_expr)})
 

@@ -12,9 +12,11 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Literal
 
+from google.protobuf.empty_pb2 import Empty
+
 from armsight.bus import Bus, open_bus
 from armsight.counters import Counters
-from armsight.errors import ArmsightError, SessionClosedError
+from armsight.errors import ArmsightError, NoReplyError, SessionClosedError
 from armsight.logs import set_up_logging
 from armsight.session import add_session_arguments, open_session, session_config
 from armsight.times import to_timestamp, wall_ns
@@ -26,6 +28,8 @@ log = logging.getLogger(__name__)
 
 HEALTH_PERIOD_S = 1.0
 VERSION = "0.1.0"
+
+_PROBE_S = 3.0
 
 EXIT_CONFIG = 2
 """Exit code where flags, environment or files can't be used: starting again does not help."""
@@ -103,6 +107,7 @@ class Context:
 def add_service_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the flags that every service has."""
     add_session_arguments(parser)
+    parser.add_argument("--health", action="store_true", help="ask the running service whether it answers, and exit")
     parser.add_argument(
         "--log-level", choices=["debug", "info", "warning", "error"], default="warning", help="default: warning"
     )
@@ -125,6 +130,8 @@ def run_service(
         shared_memory: see :class:`~armsight.session.SessionConfig`.
     """
     set_up_logging(name, arguments.log_level)
+    if arguments.health:
+        return probe(name, arguments)
     stop = threading.Event()
 
     def ask_to_stop(signum: int, frame: FrameType | None) -> None:
@@ -153,6 +160,26 @@ def run_service(
         log.error("%s", error)
         print(f"{name}: {error}", file=sys.stderr)
         return EXIT_CONFIG
+    return 0
+
+
+def probe(name: str, arguments: argparse.Namespace) -> int:
+    """Asks a running service for its parameters: 0 when it answers, 1 when not (for container health checks)."""
+    stop = threading.Event()
+    timer = threading.Timer(_PROBE_S, stop.set)
+    timer.daemon = True
+    timer.start()
+    try:
+        session = open_session(session_config(arguments, "off"), stop)
+        if session is None:
+            raise NoReplyError(f"no router within {_PROBE_S:g} s")
+        with open_bus(session) as bus:
+            bus.query(PARAMETERS, Empty(), name, timeout_s=_PROBE_S)
+    except ArmsightError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 1
+    finally:
+        timer.cancel()
     return 0
 
 

@@ -1,0 +1,1 @@
+"""Simulation of the arm: camera frames out, joint commands in."""

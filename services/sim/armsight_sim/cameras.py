@@ -1,0 +1,74 @@
+"""Rendering the cameras off screen, by the OpenGL back end that :mod:`armsight_sim.gl` chose."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+Image = npt.NDArray[np.uint8]
+
+# Offsets into one long strip of noise: a prime, so that rows never line up.
+_NOISE_SLACK = 65_521
+
+
+class Cameras:
+    """All cameras of a model, drawn one after the other in one OpenGL context. Use from one thread; close it."""
+
+    def __init__(self, model: mujoco.MjModel, names: Sequence[str], width: int, height: int, samples: int) -> None:
+        """Allocates the context.
+
+        Args:
+            model: its off-screen quality is set.
+            names: of the cameras to draw.
+            width: columns of every image.
+            height: rows of every image.
+            samples: per pixel, 0 or 4 (software GL gives no more).
+        """
+        self._names = tuple(names)
+        model.vis.quality.offsamples = samples
+        self._renderer = mujoco.Renderer(model, height, width)
+        self._options = mujoco.MjvOption()
+        flags = mujoco.mjtRndFlag
+        # shadows alone cost six times the rest; the backdrops stand in place of sky and haze
+        for flag in (flags.mjRND_SHADOW, flags.mjRND_REFLECTION, flags.mjRND_HAZE, flags.mjRND_FOG, flags.mjRND_SKYBOX):
+            self._renderer.scene.flags[flag] = 0
+
+    def show_group(self, group: int) -> None:
+        """Draws the geoms of one more group (the visible target's)."""
+        self._options.geomgroup[group] = 1
+
+    def draw(self, data: mujoco.MjData) -> list[Image]:
+        """One rgb8 image for each camera, the top row first."""
+        return [self._draw(data, name) for name in self._names]
+
+    def close(self) -> None:
+        """Frees the context; OSMesa's fails at exit when it is left to the interpreter."""
+        self._renderer.close()
+
+    def _draw(self, data: mujoco.MjData, name: str) -> Image:
+        self._renderer.update_scene(data, name, self._options)
+        image: Image = self._renderer.render()
+        return image
+
+
+class Noise:
+    """Sensor noise of a fixed standard deviation, the same in every run with the same seed."""
+
+    def __init__(self, sigma: float, size: int, seed: int) -> None:
+        """Draws one strip of noise, from which every frame takes a piece.
+
+        Args:
+            sigma: standard deviation in grey levels.
+            size: bytes of a frame.
+            seed: of the strip and of where each frame begins.
+        """
+        random = np.random.default_rng(seed)
+        self._strip = np.rint(random.normal(0.0, sigma, size + _NOISE_SLACK)).astype(np.int16)
+        self._offsets = np.random.default_rng([seed, 1])
+
+    def add(self, image: Image) -> Image:
+        """The image with noise, clipped to 0..255."""
+        start = int(self._offsets.integers(_NOISE_SLACK))
+        noisy = image.reshape(-1).astype(np.int16) + self._strip[start : start + image.size]
+        return np.asarray(np.clip(noisy, 0, 255), dtype=np.uint8).reshape(image.shape)

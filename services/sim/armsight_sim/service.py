@@ -1,0 +1,271 @@
+"""The simulation on the bus: frames out, commands in."""
+
+import queue
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from math import pi, sin
+from typing import TypeVar
+
+import numpy as np
+from foxglove_schemas_protobuf.JointState_pb2 import JointState
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
+
+from armsight import topics
+from armsight.images import encode_rgb8
+from armsight.schema import descriptor_set
+from armsight.service import Context
+from armsight.times import from_timestamp, to_duration, to_timestamp, wall_ns
+from armsight.v1.health_pb2 import HEALTH_STATUS_DEGRADED, HEALTH_STATUS_OK, HEALTH_STATUS_WAITING
+from armsight.v1.joints_pb2 import JointCommand
+from armsight.v1.safety_pb2 import StopRequest, StopResponse
+from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP, CLOCK_MODE_REALTIME, Clock, ResetRequest, ResetResponse
+from armsight_sim import description
+from armsight_sim.cameras import Cameras, Noise
+from armsight_sim.clock import ClockMode, Instants, Lockstep, Pacer
+from armsight_sim.commands import Verdict
+from armsight_sim.errors import SimError
+from armsight_sim.motion import Motion
+from armsight_sim.settings import Settings
+from armsight_sim.stop import StopSources
+from armsight_sim.targets import TARGETS, visible_box
+from armsight_sim.world import World, load_model
+
+T = TypeVar("T")
+
+_IDLE_S = 0.05
+"""How often a waiting loop looks whether it should stop, and at heartbeats."""
+
+_REFUSAL_SHOWN_S = 5.0
+_STAMP = struct.Struct("<Q")
+_VISIBLE_GROUP = 3
+
+
+class Simulation:
+    """Owns the world; everything that touches it runs in the thread of :meth:`run`, requests come through a queue."""
+
+    def __init__(self, context: Context, settings: Settings) -> None:
+        """Declares everything on the bus; frames start with :meth:`run`."""
+        self._context, self._settings, bus = context, settings, context.bus
+        model = load_model()
+        world = World(model, 1.0 / settings.fps)
+        instants = Instants(settings.start_ns, settings.fps)
+        pose = world.within_limits(settings.pose) if settings.pose else np.zeros(len(world.joint_names))
+        self._motion, self._instants, self._model = Motion(world, instants, pose), instants, model
+        self._stops = StopSources()
+        self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._lockstep = Lockstep()
+        self._encoded: list[bytes] = []
+        self._last_accepted: bytes = b""
+        self._refused_s, self._refused = -_REFUSAL_SHOWN_S, ""
+        self._frame_times: deque[float] = deque(maxlen=31)
+
+        self._names = description.camera_names(model)
+        for name in self._names:
+            calibration = description.calibration(model, name, settings.width, settings.height, settings.start_ns)
+            bus.publisher(topics.CAMERA_CALIBRATION, name).put(calibration)
+            bus.publisher(topics.CAMERA_POSE, name).put(description.camera_pose(model, name, settings.start_ns))
+        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(model))
+        block = settings.clock is ClockMode.LOCKSTEP
+        self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
+        self._frame_ids = [description.optical_frame(name) for name in self._names]
+        self._true = bus.publisher(topics.JOINTS_TRUE)
+        self._accepted = bus.publisher(topics.JOINTS_ACCEPTED)
+        self._clock = bus.publisher(topics.CLOCK)
+        self._target = bus.publisher(topics.TARGET) if settings.target != "none" else None
+        self._stop_state = bus.publisher(topics.STOP_STATE)
+        self._stop_state.put(self._stops.message())
+        bus.subscriber(
+            topics.JOINT_COMMAND,
+            keep=4,
+            on_message=lambda received: self._events.put(lambda: self._command(received.message)),
+        )
+        bus.serve(topics.RESET, lambda request: self._ask(lambda: self._reset(request)))
+        bus.serve(topics.STOP, lambda request: self._ask(lambda: self._stop(request)))
+        bus.serve(topics.SCHEMA, lambda _: descriptor_set())
+        bus.presence(self._presence)
+
+    def run(self) -> None:
+        """Frame after frame until asked to stop."""
+        settings = self._settings
+        cameras = Cameras(self._model, self._names, settings.width, settings.height, settings.samples)
+        noise = None
+        if settings.noise > 0.0:
+            noise = Noise(settings.noise, settings.width * settings.height * 3, settings.seed)
+        if settings.target == "visible":
+            cameras.show_group(_VISIBLE_GROUP)
+        try:
+            pacer = Pacer(settings.fps, time.monotonic())
+            while not self._context.stop.is_set():
+                self._frame(cameras, noise)
+                if settings.clock is ClockMode.REALTIME:
+                    pacer.taken(time.monotonic())
+                    self._handle_until(pacer.due_s)
+                else:
+                    self._handle_until_answered()
+                self._motion.next_frame()
+        finally:
+            cameras.close()
+
+    def _frame(self, cameras: Cameras, noise: Noise | None) -> None:
+        started = time.monotonic()
+        capture_ns, elapsed_s = self._motion.capture_ns, self._instants.elapsed_s(self._motion.frame)
+        self._set_scene(elapsed_s)
+        self._publish_state(capture_ns)
+        images = cameras.draw(self._motion.world.data)
+        if noise is not None:
+            images = [noise.add(image) for image in images]
+        width, height = self._settings.width, self._settings.height
+        self._encoded = [
+            encode_rgb8(image.tobytes(), width, height, frame_id, capture_ns)
+            for image, frame_id in zip(images, self._frame_ids, strict=True)
+        ]
+        rendered = time.monotonic()
+        self._send_frames()
+        self._context.health.gauge("render_ms", (rendered - started) * 1e3)
+        self._report(rendered)
+
+    def _send_frames(self) -> None:
+        for publisher, encoded in zip(self._images, self._encoded, strict=True):
+            publisher.put_bytes(encoded, _STAMP.pack(wall_ns()))
+        self._lockstep.sent(self._motion.capture_ns, time.monotonic())
+
+    def _publish_state(self, capture_ns: int) -> None:
+        world, stamp = self._motion.world, to_timestamp(capture_ns)
+        joints = [
+            JointState(name=name, position=angle, velocity=speed)
+            for name, angle, speed in zip(world.joint_names, world.angles(), world.speeds(), strict=True)
+        ]
+        self._true.put(JointStates(timestamp=stamp, joints=joints))
+        self._publish_accepted(capture_ns)
+        lockstep = self._settings.clock is ClockMode.LOCKSTEP
+        self._clock.put(
+            Clock(
+                capture_time=stamp,
+                mode=CLOCK_MODE_LOCKSTEP if lockstep else CLOCK_MODE_REALTIME,
+                frame=self._motion.frame,
+                period=to_duration(1.0 / self._settings.fps),
+                speed=self._rate_hz() / self._settings.fps,
+            )
+        )
+        if self._target is not None:
+            frame_id, point = TARGETS[self._settings.target]
+            message = Point3InFrame(timestamp=stamp, frame_id=frame_id)
+            message.point.x, message.point.y, message.point.z = point(self._instants.elapsed_s(self._motion.frame))
+            self._target.put(message)
+
+    def _publish_accepted(self, capture_ns: int) -> None:
+        accepted = self._motion.accepted
+        if accepted.tobytes() == self._last_accepted:
+            return
+        self._last_accepted = accepted.tobytes()
+        joints = [
+            JointState(name=name, position=angle)
+            for name, angle in zip(self._motion.world.joint_names, accepted, strict=True)
+        ]
+        self._accepted.put(JointStates(timestamp=to_timestamp(capture_ns), joints=joints))
+
+    def _set_scene(self, elapsed_s: float) -> None:
+        ambient = self._settings.ambient
+        self._model.vis.headlight.ambient[:] = 0.4 + 0.3 * sin(pi * elapsed_s / 30) if ambient is None else ambient
+        if self._settings.target == "visible":
+            data = self._motion.world.data
+            data.mocap_pos[:] = [TARGETS["visible"][1](elapsed_s), visible_box(elapsed_s)]
+            self._motion.world.update_positions()
+
+    def _handle_until(self, due_s: float) -> None:
+        """Handles what arrives until the next frame is due, each at the simulated time of its arrival."""
+        period_s, steps = 1.0 / self._settings.fps, self._motion.world.steps_per_frame
+        while not self._context.stop.is_set():
+            now = time.monotonic()
+            if now >= due_s:
+                return
+            self._handle_one(due_s - now)
+            share = 1.0 - (due_s - time.monotonic()) / period_s
+            self._motion.advance(int(share * steps))
+
+    def _handle_until_answered(self) -> None:
+        while self._lockstep.waiting and not self._context.stop.is_set():
+            self._handle_one(_IDLE_S)
+            if self._lockstep.resend_due(time.monotonic()):
+                self._context.bus.counters.add("frames_sent_again")
+                self._send_frames()
+                detail = "no answer to the last frames yet: are vision and control running?"
+                self._context.health.report(HEALTH_STATUS_WAITING, detail)
+
+    def _handle_one(self, timeout_s: float) -> None:
+        try:
+            event = self._events.get(timeout=min(timeout_s, _IDLE_S))
+        except queue.Empty:
+            pass
+        else:
+            event()
+        if self._stops.check_heartbeats(time.monotonic(), wall_ns()):
+            self._stop_changed()
+
+    def _command(self, command: JointCommand) -> None:
+        self._lockstep.answered(from_timestamp(command.answers))
+        decision = self._motion.command(command, stopped=self._stops.stopped)
+        if decision.verdict is Verdict.REFUSE:
+            self._context.bus.counters.add(f"command_refused_{decision.reason}")
+            self._refused = f"last refused command: {decision.reason}: {decision.detail}"
+            self._refused_s = time.monotonic()
+        else:
+            self._context.bus.counters.add(f"command_{decision.verdict.value}")
+
+    def _reset(self, request: ResetRequest) -> ResetResponse:
+        named = {joint.name: joint.position_rad for joint in request.joints}
+        if len(named) != len(request.joints):
+            raise SimError("a joint is named twice")
+        first_ns = self._motion.reset(self._motion.world.pose(named))
+        self._publish_accepted(first_ns)
+        return ResetResponse(capture_time=to_timestamp(first_ns))
+
+    def _stop(self, request: StopRequest) -> StopResponse:
+        if self._stops.handle(request, time.monotonic(), wall_ns()):
+            self._stop_changed()
+        return StopResponse(state=self._stops.message())
+
+    def _stop_changed(self) -> None:
+        if self._stops.stopped:
+            self._motion.halt()
+        self._stop_state.put(self._stops.message())
+
+    def _presence(self, name: str, here: bool) -> None:
+        if here and name in ("vision", "control"):
+            self._events.put(lambda: self._lockstep.reader_appeared(time.monotonic()))
+
+    def _ask(self, action: Callable[[], T]) -> T:
+        """Runs an action in the simulation's thread and waits for what comes of it."""
+        answer: Future[T] = Future()
+
+        def act() -> None:
+            try:
+                answer.set_result(action())
+            except Exception as error:
+                answer.set_exception(error)
+
+        self._events.put(act)
+        return answer.result(timeout=4.0)
+
+    def _rate_hz(self) -> float:
+        times = self._frame_times
+        return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
+
+    def _report(self, now: float) -> None:
+        self._frame_times.append(now)
+        health, rate, fps = self._context.health, self._rate_hz(), self._settings.fps
+        health.gauge("rate_hz", rate)
+        health.gauge("speed", rate / fps)
+        health.gauge("watchdog_trips", self._motion.watchdog_trips)
+        health.gauge("stopped", float(self._stops.stopped))
+        detail = self._refused if now - self._refused_s < _REFUSAL_SHOWN_S else ""
+        full = len(self._frame_times) == self._frame_times.maxlen
+        if self._settings.clock is ClockMode.REALTIME and full and rate < 0.8 * fps:
+            slow = f"only {rate:.0f} of {fps} frames a second: render smaller frames or fewer samples"
+            health.report(HEALTH_STATUS_DEGRADED, slow)
+        else:
+            health.report(HEALTH_STATUS_OK, detail)

@@ -1,0 +1,120 @@
+"""The simulation's flags, checked before anything starts."""
+
+import argparse
+import datetime
+import math
+from dataclasses import dataclass
+
+from armsight.errors import ConfigError
+from armsight.service import add_service_arguments
+from armsight.times import NS_PER_S, wall_ns
+from armsight_sim.clock import ClockMode
+from armsight_sim.targets import TARGETS
+
+AMBIENT_SWEEP = "sweep"
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """The configuration in force."""
+
+    clock: ClockMode
+    fps: int
+    width: int
+    height: int
+    samples: int
+    target: str
+    start_ns: int
+    ambient: float | None
+    """Brightness of the ambient light; none: it sweeps slowly between 0.1 and 0.7."""
+    noise: float
+    seed: int
+    pose: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuses what can't work, saying what can."""
+        if not 1 <= self.fps <= 240:
+            raise ConfigError(f"--fps {self.fps} is not within 1 to 240")
+        if not (16 <= self.width <= 1920 and 16 <= self.height <= 1920):
+            raise ConfigError(f"--width {self.width} --height {self.height}: both must be within 16 to 1920")
+        if self.ambient is not None and not 0.0 <= self.ambient <= 1.0:
+            raise ConfigError(f"--ambient {self.ambient:g} is not within 0 to 1")
+        if not 0.0 <= self.noise <= 50.0:
+            raise ConfigError(f"--noise {self.noise:g} is not within 0 to 50 grey levels")
+
+
+def parse_settings(arguments: argparse.Namespace) -> Settings:
+    """Settings from parsed flags.
+
+    Raises:
+        ConfigError: a value that can't be used.
+    """
+    return Settings(
+        clock=ClockMode(arguments.clock),
+        fps=arguments.fps,
+        width=arguments.width,
+        height=arguments.height,
+        samples=arguments.samples,
+        target=arguments.target,
+        start_ns=_start_ns(arguments.start_time),
+        ambient=_ambient(arguments.ambient),
+        noise=arguments.noise,
+        seed=arguments.seed,
+        pose=tuple(arguments.pose),
+    )
+
+
+def argument_parser() -> argparse.ArgumentParser:
+    """All flags of armsight-sim."""
+    parser = argparse.ArgumentParser(
+        prog="armsight-sim", description="Simulates the arm: publishes camera frames, follows joint commands."
+    )
+    parser.add_argument(
+        "--clock",
+        choices=[mode.value for mode in ClockMode],
+        default=ClockMode.REALTIME.value,
+        help="realtime: frames by the wall clock; lockstep: wait for the answer to every frame (default: realtime)",
+    )
+    parser.add_argument("--fps", type=int, default=30, help="frames a second of simulated time (default: 30)")
+    parser.add_argument("--width", type=int, default=800, help="pixels (default: 800)")
+    parser.add_argument("--height", type=int, default=800, help="pixels (default: 800)")
+    parser.add_argument(
+        "--samples", type=int, choices=[0, 4], default=0, help="for each pixel; 4 is smoother and slower (default: 0)"
+    )
+    parser.add_argument(
+        "--target", choices=["none", *TARGETS], default="none", help="moving target to publish (default: none)"
+    )
+    parser.add_argument("--start-time", metavar="TIME", help="RFC 3339 or Unix nanoseconds, for runs that repeat")
+    parser.add_argument("--ambient", default="0.4", help="ambient light, 0 to 1, or 'sweep' (default: 0.4)")
+    parser.add_argument("--noise", type=float, default=0.0, help="standard deviation in grey levels (default: 0)")
+    parser.add_argument("--seed", type=int, default=1, help="of the noise (default: 1)")
+    parser.add_argument("--pose", type=float, nargs="+", metavar="RAD", default=[], help="start pose (default: zero)")
+    add_service_arguments(parser)
+    return parser
+
+
+def _start_ns(text: str | None) -> int:
+    if text is None:
+        return wall_ns()
+    if text.isdigit():
+        return int(text)
+    try:
+        time = datetime.datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ConfigError(f"--start-time {text!r} is neither RFC 3339 nor nanoseconds: {error}") from error
+    if time.tzinfo is None:
+        raise ConfigError(f"--start-time {text!r} has no time zone: add Z for UTC")
+    since = time - datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
+    return (since.days * 86_400 + since.seconds) * NS_PER_S + since.microseconds * 1000
+
+
+def _ambient(text: str) -> float | None:
+    if text == AMBIENT_SWEEP:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if math.isnan(value):
+        raise ConfigError(f"--ambient {text!r} is neither a number nor {AMBIENT_SWEEP!r}")
+    return value

@@ -1,0 +1,101 @@
+"""The simulated arm: a MuJoCo model that follows a setpoint.
+
+Angles are in radians, in the order of :attr:`World.joint_names`; times in simulated seconds.
+"""
+
+from collections.abc import Mapping, Sequence
+from importlib import resources
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from armsight_sim.errors import ModelError, PoseError
+
+Vector = npt.NDArray[np.float64]
+
+LIMIT_TOLERANCE_RAD = 1e-6
+"""Rounding of another service is clamped, anything further is refused."""
+
+_LONGEST_STEP_S = 0.0021  # sixteen steps a frame at 30 Hz: kv of the actuators is stable with room to spare
+
+
+def load_model() -> mujoco.MjModel:
+    """The arm as this package ships it."""
+    return mujoco.MjModel.from_xml_string(resources.files("armsight_sim").joinpath("models/arm.xml").read_text())
+
+
+class World:
+    """Model and state; nothing in here knows of cameras or of the bus."""
+
+    def __init__(self, model: mujoco.MjModel, frame_period_s: float) -> None:
+        """At rest at the zero pose.
+
+        Args:
+            model: by the conventions of models/arm.xml; its step is set to divide the frame period.
+            frame_period_s: simulated time between two frames.
+        """
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.steps_per_frame = int(np.ceil(frame_period_s / _LONGEST_STEP_S))
+        model.opt.timestep = self.step_s = frame_period_s / self.steps_per_frame
+        self.joint_names = tuple(model.joint(index).name for index in range(model.njnt))
+        if not self.joint_names or np.any(model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE):
+            raise ModelError("the arm must be a chain of hinge joints")
+        if tuple(model.actuator(index).name for index in range(model.nu)) != self.joint_names:
+            raise ModelError(f"each of {', '.join(self.joint_names)} needs one position actuator of its name, in order")
+        self.limits: npt.NDArray[np.float64] = model.jnt_range.copy()
+        self.max_speed: Vector = model.jnt_user[:, 0].copy()
+        # A position actuator pulls with kp (ctrl - q) - kv q'. Adding kv/kp of the setpoint's speed to ctrl makes that
+        # kp (setpoint - q) + kv (setpoint' - q'): no lag behind a moving setpoint.
+        self._lead_s: Vector = model.actuator_biasprm[:, 2] / model.actuator_biasprm[:, 1]
+        self.reset(np.zeros(len(self.joint_names)))
+
+    def reset(self, pose: Vector) -> None:
+        """Puts the arm at a pose, at rest."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = pose
+        self.data.ctrl[:] = pose
+        mujoco.mj_forward(self.model, self.data)
+
+    def step(self, setpoint: Vector, setpoint_speed: Vector) -> None:
+        """One step of :attr:`step_s` towards a moving setpoint (rad, rad/s)."""
+        self.data.ctrl[:] = setpoint + self._lead_s * setpoint_speed
+        mujoco.mj_step(self.model, self.data)
+
+    def update_positions(self) -> None:
+        """Recomputes where everything is after a change to the scene (the visible target)."""
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def angles(self) -> Vector:
+        """The true joint angles."""
+        return np.array(self.data.qpos)
+
+    def speeds(self) -> Vector:
+        """The true joint speeds, rad/s."""
+        return np.array(self.data.qvel)
+
+    def pose(self, named: Mapping[str, float]) -> Vector:
+        """Angles by name as a vector; joints left out are at 0.
+
+        Raises:
+            PoseError: an unknown joint, an angle that is not finite or beyond its limits.
+        """
+        unknown = sorted(set(named) - set(self.joint_names))
+        if unknown:
+            raise PoseError(f"no joint {', '.join(map(repr, unknown))}; this arm has {', '.join(self.joint_names)}")
+        return self.within_limits([named.get(name, 0.0) for name in self.joint_names])
+
+    def within_limits(self, angles: Sequence[float]) -> Vector:
+        """The angles, clamped if no more than rounding beyond the limits.
+
+        Raises:
+            PoseError: an angle that is not finite or further out.
+        """
+        pose = np.array(angles, dtype=float)
+        for name, angle, (lower, upper) in zip(self.joint_names, pose, self.limits, strict=True):
+            if not np.isfinite(angle):
+                raise PoseError(f"{name} = {angle} is not a finite angle")
+            if not lower - LIMIT_TOLERANCE_RAD <= angle <= upper + LIMIT_TOLERANCE_RAD:
+                raise PoseError(f"{name} = {angle:.6g} rad is outside of its limits [{lower:.6g}, {upper:.6g}]")
+        return np.asarray(np.clip(pose, self.limits[:, 0], self.limits[:, 1]))

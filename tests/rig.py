@@ -1,0 +1,287 @@
+"""What the integration tests do with a stack: start and kill its processes, ask it, watch the truth."""
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import numpy.typing as npt
+from armsight import topics
+from armsight.bus import Bus, Received, Subscriber
+from armsight.session import SessionConfig, open_session
+from armsight.times import NS_PER_S, from_timestamp, to_duration, to_timestamp
+from armsight.v1.control_pb2 import ControlMode, ControlState, ControlStatus, SetModeRequest
+from armsight.v1.health_pb2 import HEALTH_STATUS_OK, Health
+from armsight.v1.joints_pb2 import JointCommand, JointPositions, JointSetpoint
+from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest
+from armsight.v1.sim_pb2 import ResetRequest
+from armsight_operator.stack import Stack
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
+from google.protobuf.message import Message
+
+Vector = npt.NDArray[np.float64]
+JOINTS = ("joint1", "joint2", "joint3", "joint4")
+SERVICES = ("sim", "vision", "control")
+
+# Faster than a controller at rest lets any joint creep, slower than any motion that the tests ask for.
+_MOVING_RAD_S = 0.01
+
+
+class Truth:
+    """The true joint angles over a while, against sim's own clock."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.angles: list[list[float]] = []
+
+    def add(self, received: Received[JointStates]) -> None:
+        self.times.append(from_timestamp(received.message.timestamp) / NS_PER_S)
+        self.angles.append([joint.position for joint in received.message.joints])
+
+    def joint(self, index: int) -> Vector:
+        return np.array(self.angles)[:, index]
+
+    def assert_speed_below(self, limit_rad_s: float) -> None:
+        assert len(self.times) > 10, "too few true angles were recorded"
+        times, angles = np.array(self.times), np.array(self.angles)
+        new = np.diff(times) > 1e-6
+        speed = np.abs(np.diff(angles, axis=0)[new]) / np.diff(times)[new, None]
+        # a twentieth above the limit: the position actuator may overshoot the setpoint's own speed that much
+        assert speed.max() <= 1.05 * limit_rad_s, f"a joint moved at {speed.max():.2f} rad/s"
+
+
+class Rig:
+    """One stack on a private port, and a place on its bus."""
+
+    def __init__(self, stack: Stack) -> None:
+        self.stack = stack
+        self._bus: Bus | None = None
+        self._truth: Subscriber[JointStates] | None = None
+        self._status: Subscriber[ControlStatus] | None = None
+        self._health: dict[str, Received[Health]] = {}
+
+    # processes
+
+    def start(self, name: str) -> None:
+        self.stack.start(name)
+
+    def start_all(self) -> None:
+        for name in ("router", *SERVICES):
+            self.start(name)
+
+    def kill(self, name: str) -> None:
+        self.stack.kill(name, signal.SIGKILL)
+        self._health.pop(name, None)
+
+    def seconds_to_stop(self, name: str) -> float:
+        started = time.monotonic()
+        self.stack.kill(name, signal.SIGTERM)
+        return time.monotonic() - started
+
+    def close(self) -> None:
+        if self._bus is not None:
+            self._bus.session.close()
+        self.stack.close()
+
+    # waiting
+
+    def pause(self, seconds: float) -> None:
+        """Lets the system run: for what must NOT happen in a while."""
+        time.sleep(seconds)
+
+    def wait_until(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                raise AssertionError(f"not within {timeout_s:g} s: {what}\n{self.describe()}")
+            time.sleep(0.02)
+
+    def wait_ready(self, timeout_s: float = 40.0) -> None:
+        _ = self.bus
+        asked = time.monotonic()
+
+        def ready() -> bool:
+            fresh = [self._health.get(name) for name in SERVICES]
+            return all(
+                health is not None and health.received_s > asked and health.message.status == HEALTH_STATUS_OK
+                for health in fresh
+            )
+
+        self.wait_until(ready, timeout_s, "sim, vision and control report themselves well")
+
+    def describe(self) -> str:
+        lines = [f"{name}: {h.message.status} {h.message.detail}" for name, h in sorted(self._health.items())]
+        status = self._status.latest if self._status is not None else None
+        if status is not None:
+            lines.append(f"control: {status.message}")
+        return "\n".join([*lines, f"logs in {self.stack.log_folder}"])
+
+    # the bus
+
+    @property
+    def bus(self) -> Bus:
+        if self._bus is None:
+            session = open_session(
+                SessionConfig(endpoints=(self.stack.endpoint,), shared_memory="off"), threading.Event()
+            )
+            assert session is not None
+            self._bus = Bus(session)
+            self._truth = self._bus.subscriber(topics.JOINTS_TRUE)
+            self._status = self._bus.subscriber(topics.CONTROL_STATUS)
+
+            def keep(received: Received[Health]) -> None:
+                self._health[received.name] = received
+
+            self._bus.subscriber(topics.HEALTH, "*", on_message=keep)
+        return self._bus
+
+    def counters(self, service: str) -> dict[str, int]:
+        return dict(self._health[service].message.counters)
+
+    def instances(self) -> dict[str, str]:
+        return {name: self._health[name].message.instance for name in SERVICES}
+
+    # asking
+
+    def mode(self, name: str, joints: Sequence[float] = (), start_s: float = 0.0) -> None:
+        request = SetModeRequest(
+            mode=ControlMode.Value(f"CONTROL_MODE_{name.upper().replace('-', '_')}"),
+            joints=[JointSetpoint(name=j, position_rad=q) for j, q in zip(JOINTS, joints, strict=False)],
+            start_s=start_s,
+        )
+        self.bus.query(topics.MODE, request)
+
+    def reset(self, joints: Sequence[float]) -> int:
+        request = ResetRequest(
+            joints=[JointSetpoint(name=j, position_rad=q) for j, q in zip(JOINTS, joints, strict=True)]
+        )
+        return from_timestamp(self.bus.query(topics.RESET, request).capture_time)
+
+    def stop_arm(self, source: str) -> None:
+        self.bus.query(topics.STOP, StopRequest(action=STOP_ACTION_STOP, source=source, reason="test"))
+
+    def release_arm(self, source: str) -> None:
+        self.bus.query(topics.STOP, StopRequest(action=STOP_ACTION_RELEASE, source=source))
+
+    def put_command(self, positions: dict[str, float], age_s: float = 0.0) -> None:
+        truth = self._latest_truth()
+        command = JointCommand(
+            answers=to_timestamp(from_timestamp(truth.timestamp) - round(age_s * NS_PER_S)),
+            valid_for=to_duration(0.1),
+            joints=[JointSetpoint(name=name, position_rad=q) for name, q in positions.items()],
+        )
+        self.bus.publisher(topics.JOINT_COMMAND).put(command)
+
+    @contextmanager
+    def publishing_target(self, target: Sequence[float]) -> Iterator[None]:
+        publisher = self.bus.publisher(topics.TARGET)
+        done = threading.Event()
+
+        def publish() -> None:
+            message = Point3InFrame(frame_id="base")
+            message.point.x, message.point.y, message.point.z = target
+            while not done.wait(0.1):
+                publisher.put(message)
+
+        thread = threading.Thread(target=publish, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+    # watching
+
+    def true_joints(self) -> Vector:
+        return np.array([joint.position for joint in self._latest_truth().joints])
+
+    def tip_error(self, target: Sequence[float]) -> float:
+        return float(np.linalg.norm(tip_with_joint_2_fixed(self.true_joints()) - np.array(target)))
+
+    def moving(self) -> bool:
+        """Whether the arm moves by sim's own account; without sim nothing does."""
+        _ = self.bus
+        assert self._truth is not None
+        latest = self._truth.latest
+        if latest is None or time.monotonic() - latest.received_s > 0.5:
+            return False
+        return max(abs(joint.velocity) for joint in latest.message.joints) > _MOVING_RAD_S
+
+    def control_state(self) -> str:
+        _ = self.bus
+        assert self._status is not None
+        latest = self._status.latest
+        if latest is None or time.monotonic() - latest.received_s > 1.0:
+            return "SILENT"
+        return ControlState.Name(latest.message.state).removeprefix("CONTROL_STATE_")
+
+    @contextmanager
+    def recording_truth(self) -> Iterator[Truth]:
+        truth = Truth()
+        subscriber = self.bus.subscriber(topics.JOINTS_TRUE, keep=1000, on_message=truth.add)
+        try:
+            yield truth
+        finally:
+            subscriber.close()
+
+    def answered_share(self, seconds: float) -> tuple[float, float]:
+        """Frames a second by sim's captures, and the share of them that a command answers."""
+        captured: set[int] = set()
+        answered: set[int] = set()
+        frames = self.bus.subscriber(
+            topics.JOINTS_TRUE,
+            keep=1000,
+            on_message=lambda r: captured.add(from_timestamp(r.message.timestamp)),
+        )
+        commands = self.bus.subscriber(
+            topics.JOINT_COMMAND, keep=1000, on_message=lambda r: answered.add(from_timestamp(r.message.answers))
+        )
+        time.sleep(seconds)
+        frames.close()
+        time.sleep(0.2)
+        commands.close()
+        return len(captured) / seconds, len(captured & answered) / len(captured)
+
+    def mode_and_next_instant(self, name: str, start_s: float) -> int:
+        """Sets a mode in lockstep; returns the first instant that is answered in it."""
+        self.mode(name, start_s=start_s)
+        wanted = ControlMode.Value(f"CONTROL_MODE_{name.upper().replace('-', '_')}")
+        assert self._status is not None
+        while True:
+            received = self._status.recv(10.0)
+            assert received is not None, f"no status in mode {name}\n{self.describe()}"
+            if received.message.mode == wanted:
+                return from_timestamp(received.message.capture_time)
+
+    def _latest_truth(self) -> JointStates:
+        _ = self.bus
+        assert self._truth is not None
+        self.wait_until(lambda: self._truth is not None and self._truth.latest is not None, 10, "sim tells the truth")
+        latest = self._truth.latest
+        assert latest is not None
+        return latest.message
+
+
+def without_stages(message: Message) -> bytes:
+    """A message's bytes without the wall-clock times of its stages, which no two runs share."""
+    copy = type(message)()
+    copy.CopyFrom(message)
+    if isinstance(copy, (JointPositions, JointCommand)):
+        copy.ClearField("stages")
+    return copy.SerializeToString(deterministic=True)
+
+
+def tip_with_joint_2_fixed(q: Vector) -> Vector:
+    """The report's K(q), base frame, metres (arm.md's closed form, for joint 2 = 0 only)."""
+    theta, _, phi, psi = q
+    sin_theta, cos_theta = np.sin(theta), np.cos(theta)
+    reach = np.sin(phi) * (2.8 * np.cos(psi) + 3.2)
+    side = 2.8 * np.sin(psi)
+    up = np.cos(phi) * (2.8 * np.cos(psi) + 3.2) + 4.0
+    return np.array([cos_theta * side + sin_theta * reach, sin_theta * side - cos_theta * reach, up])
+
+
