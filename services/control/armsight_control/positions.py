@@ -259,9 +259,9 @@ def _unit(vector: Array) -> Array:
 
 
 def _tangents(unit: Array) -> Array:
-    """Two unit vectors across a third, as columns."""
-    smallest = np.zeros(3)
-    smallest[int(np.argmin(np.abs(unit)))] = 1.0
-    first = np.cross(unit, smallest)
-    first /= np.sqrt(first @ first)
-    return np.column_stack([first, np.cross(unit, first)])
+    """Two unit vectors across a third, as columns (Duff et al., Building an Orthonormal Basis, Revisited, 2017)."""
+    x, y, z = unit.tolist()
+    sign = math.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return np.array([[1.0 + sign * x * x * a, b], [sign * b, sign + y * y * a], [-sign * x, -y]])
