@@ -1,1 +1,48 @@
-"""From joint positions to joint angles, inverse kinematics and joint commands; usable without the bus."""
+"""From joint positions to joint angles, inverse kinematics and joint commands; usable without the bus.
+
+>>> import numpy as np
+>>> from armsight_control import Links, report_forward
+>>> report_forward(Links(l1=4.0, l3=3.2, l4=2.8), np.zeros(3)).tolist()
+[0.0, 0.0, 10.0]
+"""
+
+from armsight_control.chain import Chain, Point
+from armsight_control.description import Arm, arm_of
+from armsight_control.errors import ControlError
+from armsight_control.estimators import ESTIMATORS, Estimate, Estimator
+from armsight_control.kinematics import (
+    Links,
+    denavit_hartenberg,
+    directions,
+    forward,
+    jacobian,
+    links_of,
+    report_forward,
+    report_jacobian,
+)
+from armsight_control.solvers import SOLVERS, Options, Problem, Solution, Status, solve
+
+__all__ = [
+    "ESTIMATORS",
+    "SOLVERS",
+    "Arm",
+    "Chain",
+    "ControlError",
+    "Estimate",
+    "Estimator",
+    "Links",
+    "Options",
+    "Point",
+    "Problem",
+    "Solution",
+    "Status",
+    "arm_of",
+    "denavit_hartenberg",
+    "directions",
+    "forward",
+    "jacobian",
+    "links_of",
+    "report_forward",
+    "report_jacobian",
+    "solve",
+]

@@ -1,4 +1,6 @@
 import math
+import subprocess
+import sys
 from itertools import pairwise
 
 import mujoco
@@ -144,3 +146,12 @@ def test_the_tables_rows_join_by_common_normals() -> None:
     products = [denavit_hartenberg_product(table[:i], np.full(i, 0.3)) for i in range(len(table) + 1)]
     for before, after in pairwise(products):
         assert abs(before[:3, 2] @ after[:3, 0]) < 1e-12
+
+
+def test_the_packages_own_example_runs_without_the_bus_and_without_torch() -> None:
+    code = (
+        "import sys, doctest, armsight_control as control\n"
+        "print(doctest.testmod(control).failed, 'torch' in sys.modules, 'zenoh' in sys.modules)"
+    )
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert printed.split() == ["0", "False", "False"]

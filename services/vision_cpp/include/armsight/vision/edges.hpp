@@ -1,0 +1,54 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "armsight/vision/camera.hpp"
+#include "armsight/vision/classify.hpp"
+#include "armsight/vision/frame.hpp"
+
+namespace armsight::vision {
+
+/// Where a marker's outline is expected, in image coordinates (pixel centres at + 0.5).
+struct Disc {
+    Eigen::Vector2d centre;
+    double radius;  ///< pixels
+};
+
+/// A point of an outline.
+struct EdgePoint {
+    Eigen::Vector3d ray;       ///< unit, optical frame
+    double pixels_per_radian;  ///< what an angle there is worth in the image
+};
+
+/// Outline of one marker in one image.
+struct Outline {
+    std::vector<EdgePoint> points;  ///< only where the marker meets a bright, neutral background
+    std::int64_t area;              ///< pixels of the marker's colour within the disc
+    Eigen::Vector2d centroid;       ///< of these pixels, image coordinates
+};
+
+/// Rows and columns that a marker covers. Kept by the caller, so that no frame allocates them anew.
+struct EdgeScratch {
+    struct Extent {
+        int first, last;  ///< pixels, inclusive; empty when first > last
+    };
+    std::vector<Extent> rows, columns;
+};
+
+/// Two colours unmixed: pixel = foreground * fg + background * bg, least squares over the channels.
+struct Mix {
+    double foreground, background;
+};
+[[nodiscard]] std::optional<Mix> unmix(const Eigen::Vector3d& pixel, const Eigen::Vector3d& foreground,
+                                       const Eigen::Vector3d& background);
+
+/// Sub-pixel outline of a marker: the ends of each row where the outline is steep, of each column where it is shallow.
+/// The edge is where the coverage, summed over the mixed pixels, says; a shading of the marker cancels. Ends that meet
+/// something dark or coloured (a link, another marker) are left out: they are the occluder's edge, not the sphere's.
+void find_edges(const ImageView& image, const Camera& camera, const ColorCone& cone, const MarkerMask& mask,
+                const Disc& expected, EdgeScratch& scratch, Outline& outline);
+
+}  // namespace armsight::vision

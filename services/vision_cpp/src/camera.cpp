@@ -1,0 +1,87 @@
+#include "armsight/vision/camera.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "armsight/vision/frame.hpp"
+
+namespace armsight::vision {
+namespace {
+
+// Newton on a smooth, nearly linear function: 3 to 4 steps reach 1e-12 for real lenses, the rest is margin.
+constexpr int kUndistortSteps = 10;
+constexpr double kUndistortTolerance = 1e-13;  // on the plane z = 1: far below a pixel
+constexpr double kMinDepth = 1e-6;             // metres
+
+bool has_distortion(const Camera& camera) {
+    return std::ranges::any_of(camera.distortion, [](double k) { return k != 0.0; });
+}
+
+}  // namespace
+
+bool is_usable(const Camera& camera) {
+    const auto sane_side = [](int side) {
+        return side >= static_cast<int>(kMinImageSide) && side <= static_cast<int>(kMaxImageSide);
+    };
+    return sane_side(camera.width) && sane_side(camera.height) && camera.K.allFinite() && camera.K(0, 0) > 0.0 &&
+           camera.K(1, 1) > 0.0 && std::ranges::all_of(camera.distortion, [](double k) { return std::isfinite(k); }) &&
+           camera.T_world_camera.matrix().allFinite();
+}
+
+Eigen::Vector2d distort(const Camera& camera, const Eigen::Vector2d& undistorted) {
+    const auto& [k1, k2, p1, p2, k3] = camera.distortion;
+    const double x = undistorted.x();
+    const double y = undistorted.y();
+    const double r2 = x * x + y * y;
+    const double radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+    return {x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y};
+}
+
+Eigen::Vector2d undistort(const Camera& camera, const Eigen::Vector2d& distorted) {
+    if (!has_distortion(camera)) return distorted;
+    const auto& [k1, k2, p1, p2, k3] = camera.distortion;
+    Eigen::Vector2d point = distorted;
+    for (int i = 0; i < kUndistortSteps; ++i) {
+        const double x = point.x();
+        const double y = point.y();
+        const double r2 = x * x + y * y;
+        const double radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        const double slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3));  // d radial / d(r2), times 2
+        Eigen::Matrix2d jacobian;
+        jacobian << radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x, slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y,
+            slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y, radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x;
+        const double determinant = jacobian.determinant();
+        if (!(std::abs(determinant) > 1e-9)) break;  // folded over: the lens model means nothing here
+        const Eigen::Vector2d delta = jacobian.inverse() * (distorted - distort(camera, point));
+        if (!delta.allFinite()) break;
+        point += delta;
+        if (delta.squaredNorm() < kUndistortTolerance * kUndistortTolerance) break;
+    }
+    return point;
+}
+
+Eigen::Vector3d ray(const Camera& camera, double x, double y) {
+    const Eigen::Matrix3d& K = camera.K;
+    const double v = (y - kWireToImage - K(1, 2)) / K(1, 1);
+    const double u = (x - kWireToImage - K(0, 2) - K(0, 1) * v) / K(0, 0);
+    const Eigen::Vector2d point = undistort(camera, {u, v});
+    return Eigen::Vector3d(point.x(), point.y(), 1.0).normalized();
+}
+
+std::optional<Eigen::Vector2d> project(const Camera& camera, const Eigen::Vector3d& point) {
+    if (!(point.z() > kMinDepth)) return std::nullopt;
+    const Eigen::Matrix3d& K = camera.K;
+    const Eigen::Vector2d d = distort(camera, point.head<2>() / point.z());
+    return Eigen::Vector2d(K(0, 0) * d.x() + K(0, 1) * d.y() + K(0, 2) + kWireToImage,
+                           K(1, 1) * d.y() + K(1, 2) + kWireToImage);
+}
+
+double pixels_per_radian(const Camera& camera, const Eigen::Vector3d& ray) {
+    const double f = std::sqrt(camera.K(0, 0) * camera.K(1, 1));
+    const double cos_off_axis = std::max(ray.z(), 0.1);
+    // f / cos tangentially, f / cos^2 radially
+    return f / (cos_off_axis * std::sqrt(cos_off_axis));
+}
+
+}  // namespace armsight::vision

@@ -1,0 +1,179 @@
+#include "armsight/vision/edges.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace armsight::vision {
+namespace {
+
+// Components count when they reach into the expected disc, which may be off by a good part of its radius (occlusion).
+constexpr double kReach = 1.6;  // radii
+// Smaller ones are sensor noise on dark pixels.
+constexpr std::int64_t kMinComponentArea = 6;
+// Background: brighter than links, nearly grey, and even, so that no other edge lies in it.
+constexpr double kMinBackground = 40.0;      // grey levels
+constexpr double kBackgroundChroma = 0.2;    // (max - min) / max, plus kNoise
+constexpr double kBackgroundUnevenness = 0.08;  // relative change from one pixel to the next, plus kNoise
+constexpr double kNoise = 12.0;              // grey levels: 3 standard deviations of a noisy sensor
+// A mixed pixel with less foreground than this for its coverage is darkened by a third thing: an occluder.
+constexpr double kMinBrightness = 0.3;
+constexpr double kDarkCoverage = 0.5;
+// The innermost pixel must be covered and the outermost free, or the edge is not between them.
+constexpr double kCoverageTolerance = 0.3;
+constexpr double kMaxCurvatureShift = 0.1;  // pixels; more means that the disc is too small to be measured so
+
+struct Direction {
+    int dx, dy;
+};
+
+class EdgeFinder {
+  public:
+    EdgeFinder(const ImageView& image, const ColorCone& cone)
+        : image_(image), cone_(cone), layout_(layout(image.format)) {}
+
+    // Distance from the inner border of the pixel before (x, y) to the edge, along `outward`; (x, y) is the outermost
+    // pixel of the marker's colour.
+    [[nodiscard]] std::optional<double> distance(int x, int y, Direction outward) const {
+        const auto at = [&](int k) { return pixel(x + k * outward.dx, y + k * outward.dy); };
+        if (!inside(x - 3 * outward.dx, y - 3 * outward.dy) || !inside(x + 4 * outward.dx, y + 4 * outward.dy)) {
+            return std::nullopt;
+        }
+        const Eigen::Vector3d near = at(-2);
+        const Eigen::Vector3d deep = at(-3);
+        if (!is_marker(near)) return std::nullopt;
+        const Eigen::Vector3d foreground = is_marker(deep) ? Eigen::Vector3d(0.5 * (near + deep)) : near;
+
+        const Eigen::Vector3d free = at(3);
+        const Eigen::Vector3d beyond = at(4);
+        const Eigen::Vector3d background = 0.5 * (free + beyond);
+        const double brightest = background.maxCoeff();
+        if (background.minCoeff() < kMinBackground ||
+            brightest - background.minCoeff() > kBackgroundChroma * brightest + kNoise ||
+            (free - beyond).cwiseAbs().maxCoeff() > kBackgroundUnevenness * brightest + kNoise) {
+            return std::nullopt;
+        }
+        double sum = 0.0;
+        for (int k = -1; k <= 2; ++k) {
+            const auto mix = unmix(at(k), foreground, background);
+            if (!mix) return std::nullopt;
+            const double coverage = 1.0 - mix->background;
+            if (coverage > kDarkCoverage && mix->foreground < kMinBrightness * coverage) return std::nullopt;
+            if (k == -1 && coverage < 1.0 - kCoverageTolerance) return std::nullopt;
+            if (k == 2 && coverage > kCoverageTolerance) return std::nullopt;
+            sum += coverage;
+        }
+        return sum;
+    }
+
+  private:
+    [[nodiscard]] bool inside(int x, int y) const { return x >= 0 && y >= 0 && x < image_.width && y < image_.height; }
+
+    [[nodiscard]] Eigen::Vector3d pixel(int x, int y) const {
+        const std::uint8_t* p = image_.row(y) + x * layout_.size;
+        return {static_cast<double>(p[layout_.red]), static_cast<double>(p[layout_.green]),
+                static_cast<double>(p[layout_.blue])};
+    }
+
+    [[nodiscard]] bool is_marker(const Eigen::Vector3d& p) const {
+        return cone_.contains(static_cast<int>(p.x()), static_cast<int>(p.y()), static_cast<int>(p.z()));
+    }
+
+    const ImageView& image_;
+    const ColorCone& cone_;
+    PixelLayout layout_;
+};
+
+bool reaches(const Component& component, const Disc& disc) {
+    if (component.area < kMinComponentArea) return false;
+    const Eigen::Vector2d nearest(std::clamp(disc.centre.x(), static_cast<double>(component.x0), static_cast<double>(component.x1)),
+                                  std::clamp(disc.centre.y(), static_cast<double>(component.y0), static_cast<double>(component.y1)));
+    return (nearest - disc.centre).norm() < disc.radius &&
+           (component.centroid() - disc.centre).norm() < kReach * disc.radius;
+}
+
+void collect(const ImageView& image, const MarkerMask& mask, const Disc& disc, EdgeScratch& scratch, Outline& outline) {
+    constexpr EdgeScratch::Extent kEmpty{.first = 1, .last = 0};
+    scratch.rows.assign(static_cast<std::size_t>(image.height), kEmpty);
+    scratch.columns.assign(static_cast<std::size_t>(image.width), kEmpty);
+    outline.area = 0;
+    Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+    const auto extend = [](EdgeScratch::Extent& extent, int first, int last) {
+        if (extent.first > extent.last) {
+            extent = {.first = first, .last = last};
+        } else {
+            extent.first = std::min(extent.first, first);
+            extent.last = std::max(extent.last, last);
+        }
+    };
+    for (const Component& component : mask.components) {
+        if (!reaches(component, disc)) continue;
+        outline.area += component.area;
+        sum += static_cast<double>(component.area) * component.centroid();
+    }
+    outline.centroid = outline.area > 0 ? Eigen::Vector2d(sum / static_cast<double>(outline.area)) : disc.centre;
+    for (const Run& run : mask.runs) {
+        if (!reaches(mask.components[static_cast<std::size_t>(run.component)], disc)) continue;
+        extend(scratch.rows[static_cast<std::size_t>(run.y)], run.x0, run.x1 - 1);
+        for (int x = run.x0; x < run.x1; ++x) extend(scratch.columns[static_cast<std::size_t>(x)], run.y, run.y);
+    }
+}
+
+}  // namespace
+
+std::optional<Mix> unmix(const Eigen::Vector3d& pixel, const Eigen::Vector3d& foreground,
+                         const Eigen::Vector3d& background) {
+    const double ff = foreground.squaredNorm();
+    const double bb = background.squaredNorm();
+    const double fb = foreground.dot(background);
+    const double determinant = ff * bb - fb * fb;
+    if (!(determinant > 1e-3 * ff * bb)) return std::nullopt;  // colours within 2 degrees of each other
+    const double pf = pixel.dot(foreground);
+    const double pb = pixel.dot(background);
+    return Mix{.foreground = (bb * pf - fb * pb) / determinant, .background = (ff * pb - fb * pf) / determinant};
+}
+
+void find_edges(const ImageView& image, const Camera& camera, const ColorCone& cone, const MarkerMask& mask,
+                const Disc& expected, EdgeScratch& scratch, Outline& outline) {
+    outline.points.clear();
+    collect(image, mask, expected, scratch, outline);
+    const EdgeFinder finder(image, cone);
+
+    // A row's coverage is the mean over its height; the outline's curvature puts that mean inside of the outline at
+    // the middle of the row: x(y0) = mean + R^2 / (24 |dx|^3).
+    const auto curvature_shift = [&](double across) {
+        const double r2 = expected.radius * expected.radius;
+        return std::min(kMaxCurvatureShift, r2 / (24.0 * std::max(1.0, std::abs(across * across * across))));
+    };
+    const auto add = [&](double x, double y) {
+        const Eigen::Vector3d direction = ray(camera, x, y);
+        outline.points.push_back({.ray = direction, .pixels_per_radian = pixels_per_radian(camera, direction)});
+    };
+    const auto end = [&](int x, int y, Direction outward) {
+        const double dx = x + 0.5 - expected.centre.x();
+        const double dy = y + 0.5 - expected.centre.y();
+        const bool steep = outward.dx != 0;
+        // outward must lead away from the centre, and rows are for steep parts of the outline only
+        const double along = steep ? dx * outward.dx : dy * outward.dy;
+        const double across = steep ? dy : dx;
+        if (along < std::abs(across) || (!steep && along == std::abs(across))) return;
+        const auto found = finder.distance(x, y, outward);
+        if (!found) return;
+        // from the centre of pixel (x, y): its inner neighbour's inner border is 1.5 pixels back
+        const double offset = *found - 1.5 + curvature_shift(along);
+        add(x + 0.5 + offset * outward.dx, y + 0.5 + offset * outward.dy);
+    };
+    for (int y = 0; y < image.height; ++y) {
+        const auto [first, last] = scratch.rows[static_cast<std::size_t>(y)];
+        if (first > last) continue;
+        end(first, y, {.dx = -1, .dy = 0});
+        end(last, y, {.dx = 1, .dy = 0});
+    }
+    for (int x = 0; x < image.width; ++x) {
+        const auto [first, last] = scratch.columns[static_cast<std::size_t>(x)];
+        if (first > last) continue;
+        end(x, first, {.dx = 0, .dy = -1});
+        end(x, last, {.dx = 0, .dy = 1});
+    }
+}
+
+}  // namespace armsight::vision
