@@ -57,7 +57,7 @@ ColorCone::Plane plane(const Eigen::Vector3d& normal) {
 template <int PixelSize>
 bool block_is_neutral(const std::uint8_t* p) {
     constexpr auto kMask = [] {
-        std::array<std::uint8_t, static_cast<std::size_t>(kBlock* PixelSize)> mask{};
+        std::array<std::uint8_t, static_cast<std::size_t>(kBlock * PixelSize)> mask{};
         for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = i % PixelSize < 2 ? 255 : 0;
         return mask;
     }();
@@ -202,8 +202,7 @@ std::vector<ColorCone> color_cones(std::span<const MarkerModel> markers) {
         const double c = std::cos(half_width);
         cones.push_back({.hue = plane(h),
                          .floor = static_cast<int>(std::lround(kChromaFloor * ColorCone::kUnit)),
-                         .saturation =
-                             plane(h - Eigen::Vector3d::Constant(kSaturationShare * hues[i].saturation)),
+                         .saturation = plane(h - Eigen::Vector3d::Constant(kSaturationShare * hues[i].saturation)),
                          .left = plane(s * h + c * across),
                          .right = plane(s * h - c * across)});
     }

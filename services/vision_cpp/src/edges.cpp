@@ -11,10 +11,10 @@ constexpr double kReach = 1.6;  // radii
 // Smaller ones are sensor noise on dark pixels.
 constexpr std::int64_t kMinComponentArea = 6;
 // Background: brighter than links, nearly grey, and even, so that no other edge lies in it.
-constexpr double kMinBackground = 40.0;      // grey levels
-constexpr double kBackgroundChroma = 0.2;    // (max - min) / max, plus kNoise
+constexpr double kMinBackground = 40.0;         // grey levels
+constexpr double kBackgroundChroma = 0.2;       // (max - min) / max, plus kNoise
 constexpr double kBackgroundUnevenness = 0.08;  // relative change from one pixel to the next, plus kNoise
-constexpr double kNoise = 12.0;              // grey levels: 3 standard deviations of a noisy sensor
+constexpr double kNoise = 12.0;                 // grey levels: 3 standard deviations of a noisy sensor
 // A mixed pixel with less foreground than this for its coverage is darkened by a third thing: an occluder.
 constexpr double kMinBrightness = 0.3;
 constexpr double kDarkCoverage = 0.5;
@@ -85,8 +85,9 @@ class EdgeFinder {
 
 bool reaches(const Component& component, const Disc& disc) {
     if (component.area < kMinComponentArea) return false;
-    const Eigen::Vector2d nearest(std::clamp(disc.centre.x(), static_cast<double>(component.x0), static_cast<double>(component.x1)),
-                                  std::clamp(disc.centre.y(), static_cast<double>(component.y0), static_cast<double>(component.y1)));
+    const Eigen::Vector2d nearest(
+        std::clamp(disc.centre.x(), static_cast<double>(component.x0), static_cast<double>(component.x1)),
+        std::clamp(disc.centre.y(), static_cast<double>(component.y0), static_cast<double>(component.y1)));
     return (nearest - disc.centre).norm() < disc.radius &&
            (component.centroid() - disc.centre).norm() < kReach * disc.radius;
 }

@@ -47,9 +47,9 @@ std::variant<ImageView, Refusal> validate_image(std::span<const std::uint8_t> da
     }
     const std::uint64_t needed = std::uint64_t{step} * height;
     if (needed > data.size()) {
-        return Refusal{.counter = "image_refused_truncated", .text = "step x height is " + std::to_string(needed) +
-                                                                     " bytes, but the data has " +
-                                                                     std::to_string(data.size())};
+        return Refusal{.counter = "image_refused_truncated",
+                       .text = "step x height is " + std::to_string(needed) + " bytes, but the data has " +
+                               std::to_string(data.size())};
     }
     return ImageView{.data = data,
                      .width = static_cast<int>(width),

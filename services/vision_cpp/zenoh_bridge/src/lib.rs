@@ -61,12 +61,7 @@ mod ffi {
         ) -> Result<Box<Subscriber>>;
         fn declare_token(self: &Session, key: &str) -> Result<Box<LivelinessToken>>;
         fn declare_queryable(self: &Session, key: &str) -> Result<Box<Queryable>>;
-        fn get(
-            self: &Session,
-            key: &str,
-            payload: &[u8],
-            timeout_ms: u64,
-        ) -> Result<Vec<u8>>;
+        fn get(self: &Session, key: &str, payload: &[u8], timeout_ms: u64) -> Result<Vec<u8>>;
 
         fn put(self: &Publisher, payload: &[u8], attachment: &[u8]) -> Result<()>;
         fn has_subscribers(self: &Publisher) -> Result<bool>;
@@ -246,8 +241,12 @@ impl Publisher {
     fn put(&self, payload: &[u8], attachment: &[u8]) -> Outcome<()> {
         let attached = (!attachment.is_empty()).then_some(attachment);
         match &self.0 {
-            PublisherKind::Plain(publisher) => publisher.put(payload).attachment(attached).wait()?,
-            PublisherKind::Latched(publisher) => publisher.put(payload).attachment(attached).wait()?,
+            PublisherKind::Plain(publisher) => {
+                publisher.put(payload).attachment(attached).wait()?
+            }
+            PublisherKind::Latched(publisher) => {
+                publisher.put(payload).attachment(attached).wait()?
+            }
         }
         Ok(())
     }
@@ -410,7 +409,9 @@ mod tests {
     #[test]
     fn sample_arrives_with_key_encoding_and_attachment() {
         let (router, client) = router_and_client();
-        let subscriber = client.declare_subscriber("a/*", 2, false).expect("declared");
+        let subscriber = client
+            .declare_subscriber("a/*", 2, false)
+            .expect("declared");
         let publisher = router
             .declare_publisher("a/b", "application/protobuf;x.Y", options(false))
             .expect("declared");
@@ -430,7 +431,9 @@ mod tests {
     fn ring_keeps_the_newest() {
         let (router, client) = router_and_client();
         let subscriber = client.declare_subscriber("k", 2, false).expect("declared");
-        let publisher = router.declare_publisher("k", "", options(false)).expect("declared");
+        let publisher = router
+            .declare_publisher("k", "", options(false))
+            .expect("declared");
         wait_for_subscriber(&publisher);
         for value in 0..6_u8 {
             publisher.put(&[value], b"").expect("put");
@@ -445,11 +448,17 @@ mod tests {
     #[test]
     fn latched_value_reaches_late_subscribers_and_late_publishers_reach_all() {
         let (router, client) = router_and_client();
-        let early = client.declare_subscriber("latched", 1, true).expect("declared");
-        let publisher = router.declare_publisher("latched", "", options(true)).expect("declared");
+        let early = client
+            .declare_subscriber("latched", 1, true)
+            .expect("declared");
+        let publisher = router
+            .declare_publisher("latched", "", options(true))
+            .expect("declared");
         publisher.put(b"first", b"").expect("put");
         assert_eq!(early.recv(5000).expect("received").payload(), b"first");
-        let late = client.declare_subscriber("latched", 1, true).expect("declared");
+        let late = client
+            .declare_subscriber("latched", 1, true)
+            .expect("declared");
         assert_eq!(late.recv(5000).expect("received").payload(), b"first");
     }
 
@@ -464,7 +473,11 @@ mod tests {
             assert_eq!(first.payload(), b"one");
             first.reply(b"yes", "text").expect("replied");
             drop(first);
-            queryable.recv(5000).expect("asked").reply_err("because").expect("refused");
+            queryable
+                .recv(5000)
+                .expect("asked")
+                .reply_err("because")
+                .expect("refused");
         });
         std::thread::sleep(Duration::from_millis(200));
         assert_eq!(client.get("ask", b"one", 5000).expect("an answer"), b"yes");
@@ -479,7 +492,10 @@ mod tests {
         assert!(config_with("{}", "no/such/path", "1").is_err());
         assert!(config_from_file("/nowhere.json5").is_err());
         let config = config_with("{}", "namespace", "\"robots/x\"").expect("accepted");
-        assert_eq!(config_value(&config, "namespace").expect("read back"), "\"robots/x\"");
+        assert_eq!(
+            config_value(&config, "namespace").expect("read back"),
+            "\"robots/x\""
+        );
     }
 
     #[test]

@@ -11,10 +11,10 @@ namespace armsight::vision {
 /// A calibrated camera, as it comes over the wire.
 struct Camera {
     std::string name;
-    int width, height;                  ///< pixels
-    Eigen::Matrix3d K;                  ///< pixels; OpenCV's convention: integer values are pixel centres
-    std::array<double, 5> distortion;   ///< plumb_bob: k1, k2, p1, p2, k3
-    Eigen::Isometry3d T_world_camera;   ///< optical frame: x right, y down, z into the scene
+    int width, height;                 ///< pixels
+    Eigen::Matrix3d K;                 ///< pixels; OpenCV's convention: integer values are pixel centres
+    std::array<double, 5> distortion;  ///< plumb_bob: k1, k2, p1, p2, k3
+    Eigen::Isometry3d T_world_camera;  ///< optical frame: x right, y down, z into the scene
 };
 
 /// Added once to pixels of the wire (integer = pixel centre) to get image coordinates, in which pixel (i, j) covers

@@ -51,8 +51,9 @@ struct Refusal {
     std::string text;          ///< one line for a person: what was wrong, what was expected
 };
 
-inline constexpr std::uint32_t kMinImageSide = 16;    ///< pixels; no marker can be measured in less
-inline constexpr std::uint32_t kMaxImageSide = 8192;  ///< pixels; beyond any camera of this use, and keeps sums in range
+inline constexpr std::uint32_t kMinImageSide = 16;  ///< pixels; no marker can be measured in less
+inline constexpr std::uint32_t kMaxImageSide =
+    8192;  ///< pixels; beyond any camera of this use, and keeps sums in range
 
 /// Checks the header of an image against its bytes. Nothing in it is trusted: it comes from the bus.
 [[nodiscard]] std::variant<ImageView, Refusal> validate_image(std::span<const std::uint8_t> data, std::uint32_t width,

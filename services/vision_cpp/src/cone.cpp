@@ -1,0 +1,142 @@
+#include "armsight/vision/cone.hpp"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+
+namespace armsight::vision {
+namespace {
+
+constexpr int kHypotheses = 64;        // finds three good points of 60 % good ones in all but 1e-7 of cases
+constexpr int kRefits = 3;             // inliers settle after two
+constexpr double kMaxHalfAngle = 0.6;  // rad; a sphere nearer than two radii fills the picture
+constexpr double kMinHalfAngle = 1e-4;
+
+// Numerical Recipes' generator: the same hypotheses for the same points, on every machine.
+class Lottery {
+  public:
+    std::size_t draw(std::size_t count) {
+        state_ = state_ * 1664525U + 1013904223U;
+        return static_cast<std::size_t>((std::uint64_t{state_} * count) >> 32U);
+    }
+
+  private:
+    std::uint32_t state_ = 1;
+};
+
+// The rays lie within a fraction of a radian of each other: in their own frame, scaled by their spread, the three
+// unknowns are of one size.
+struct Frame {
+    Eigen::Matrix3d rotation;  // rows: two directions across the mean ray, the mean ray
+    double spread;
+
+    explicit Frame(std::span<const EdgePoint> points) {
+        Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+        for (const EdgePoint& point : points) mean += point.ray;
+        mean.normalize();
+        const Eigen::Vector3d across = mean.unitOrthogonal();
+        rotation.row(0) = across;
+        rotation.row(1) = mean.cross(across);
+        rotation.row(2) = mean;
+        double sum = 0.0;
+        for (const EdgePoint& point : points) sum += (point.ray - mean).squaredNorm();
+        spread = std::max(std::sqrt(sum / static_cast<double>(points.size())), 1e-9);
+    }
+
+    // Row of the linear system d . m = 1.
+    [[nodiscard]] Eigen::Vector3d row(const Eigen::Vector3d& ray) const {
+        const Eigen::Vector3d d = rotation * ray;
+        return {d.x() / spread, d.y() / spread, d.z()};
+    }
+    [[nodiscard]] Eigen::Vector3d to_optical(const Eigen::Vector3d& scaled) const {
+        return rotation.transpose() * Eigen::Vector3d(scaled.x() / spread, scaled.y() / spread, scaled.z());
+    }
+};
+
+std::optional<Cone> from_normal(const Eigen::Vector3d& m) {
+    const double length = m.norm();
+    // m = axis / cos(half_angle) is longer than 1 by cos alone: below 1 no cone has these rays
+    if (!(length > 1.0) || !m.allFinite()) return std::nullopt;
+    const double half_angle = std::acos(1.0 / length);
+    if (half_angle < kMinHalfAngle || half_angle > kMaxHalfAngle) return std::nullopt;
+    return Cone{.axis = m / length, .half_angle = half_angle, .inliers = 0, .residual_px = 0.0};
+}
+
+double residual_px(const Cone& cone, const EdgePoint& point) {
+    const double angle = std::atan2(point.ray.cross(cone.axis).norm(), point.ray.dot(cone.axis));
+    return (angle - cone.half_angle) * point.pixels_per_radian;
+}
+
+// Least squares over the points within `tolerance_px` of `guess`, or over all.
+std::optional<Cone> solve(std::span<const EdgePoint> points, const Frame& frame, const Cone* guess,
+                          double tolerance_px) {
+    Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
+    Eigen::Vector3d right = Eigen::Vector3d::Zero();
+    int used = 0;
+    for (const EdgePoint& point : points) {
+        if (guess != nullptr && std::abs(residual_px(*guess, point)) > tolerance_px) continue;
+        const Eigen::Vector3d row = frame.row(point.ray);
+        normal += row * row.transpose();
+        right += row;
+        ++used;
+    }
+    if (used < 3) return std::nullopt;
+    const Eigen::LDLT<Eigen::Matrix3d> factor(normal);
+    if (factor.info() != Eigen::Success) return std::nullopt;
+    return from_normal(frame.to_optical(factor.solve(right)));
+}
+
+void score(Cone& cone, std::span<const EdgePoint> points, double tolerance_px) {
+    double sum = 0.0;
+    cone.inliers = 0;
+    for (const EdgePoint& point : points) {
+        const double r = residual_px(cone, point);
+        if (std::abs(r) > tolerance_px) continue;
+        ++cone.inliers;
+        sum += r * r;
+    }
+    cone.residual_px = cone.inliers > 0 ? std::sqrt(sum / cone.inliers) : 0.0;
+}
+
+bool is_better(const Cone& a, const Cone& b) {
+    return a.inliers > b.inliers || (a.inliers == b.inliers && a.residual_px < b.residual_px);
+}
+
+}  // namespace
+
+std::optional<Cone> fit_cone(std::span<const EdgePoint> points, const ConeOptions& options) {
+    if (points.size() < 3 || points.size() < static_cast<std::size_t>(options.min_inliers)) return std::nullopt;
+    const Frame frame(points);
+
+    std::optional<Cone> best = solve(points, frame, nullptr, 0.0);
+    if (best) score(*best, points, options.tolerance_px);
+    Lottery lottery;
+    const bool all_agree = best && best->inliers == static_cast<int>(points.size());
+    for (int i = 0; i < kHypotheses && !all_agree; ++i) {
+        Eigen::Matrix3d rows;
+        for (int k = 0; k < 3; ++k) rows.row(k) = frame.row(points[lottery.draw(points.size())].ray);
+        Eigen::Matrix3d inverse;
+        bool invertible = false;
+        rows.computeInverseWithCheck(inverse, invertible, 1e-6);
+        if (!invertible) continue;  // a point was drawn twice, or they are too close together
+        auto cone = from_normal(frame.to_optical(inverse * Eigen::Vector3d::Ones()));
+        if (!cone) continue;
+        score(*cone, points, options.tolerance_px);
+        if (!best || is_better(*cone, *best)) best = cone;
+    }
+    if (!best) return std::nullopt;
+    for (int i = 0; i < kRefits; ++i) {
+        auto refit = solve(points, frame, &*best, options.tolerance_px);
+        if (!refit) break;
+        score(*refit, points, options.tolerance_px);
+        if (refit->inliers < best->inliers) break;
+        best = refit;
+    }
+    if (best->inliers < options.min_inliers) return std::nullopt;
+    return best;
+}
+
+}  // namespace armsight::vision

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <Eigen/Geometry>
+#include <array>
+#include <cstdint>
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "armsight/v1/joints.pb.h"
+#include "armsight/vision/description.hpp"
+#include "armsight/vision/estimate.hpp"
+
+namespace armsight::vision::service {
+
+using Bytes = std::span<const std::uint8_t>;
+
+/// Bytes from the bus that are not the message they should be, or one that cannot be used.
+class MalformedMessage : public std::runtime_error {
+  public:
+    using std::runtime_error::runtime_error;
+};
+
+/// Fields of a foxglove.RawImage; `data` points into the message's bytes, which are never copied.
+struct ImageMessage {
+    std::int64_t capture_ns;
+    std::uint32_t width, height, step;
+    std::string encoding;
+    Bytes data;
+};
+[[nodiscard]] ImageMessage decode_image(Bytes payload);
+
+/// The part of a camera that foxglove.CameraCalibration tells.
+struct Calibration {
+    int width, height;
+    Eigen::Matrix3d K;
+    std::array<double, 5> distortion;
+};
+[[nodiscard]] Calibration decode_calibration(Bytes payload);
+
+/// T_world_camera of a foxglove.FrameTransform with parent `world`.
+[[nodiscard]] Eigen::Isometry3d decode_pose(Bytes payload);
+
+/// The part of armsight.v1.ArmDescription that vision needs.
+struct Description {
+    std::vector<MarkerModel> markers;
+    std::vector<std::string> cameras;
+};
+[[nodiscard]] Description decode_description(Bytes payload);
+
+/// Wall-clock times of the stages so far, Unix nanoseconds.
+struct Stages {
+    std::uint64_t frames_sent_ns, received_ns, sent_ns;
+};
+[[nodiscard]] v1::JointPositions encode_positions(std::int64_t capture_ns, std::span<const MarkerEstimate> estimates,
+                                                  const Stages& stages);
+
+/// The 8 bytes (little-endian Unix nanoseconds) beside each frame; 0 when there are none.
+[[nodiscard]] std::uint64_t decode_sent_ns(Bytes attachment);
+
+}  // namespace armsight::vision::service

@@ -1,0 +1,369 @@
+#include "service/service.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <list>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <variant>
+
+#include "armsight/v1/parameters.pb.h"
+#include "armsight/vision/pipeline.hpp"
+#include "service/annotations.hpp"
+#include "service/codec.hpp"
+#include "service/counters.hpp"
+#include "service/health.hpp"
+#include "service/keys.hpp"
+#include "service/logs.hpp"
+#include "service/pairing.hpp"
+#include "service/reader.hpp"
+#include "service/rig.hpp"
+#include "service/session_config.hpp"
+
+namespace armsight::vision::service {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::steady_clock;
+
+constexpr milliseconds kPoll{20};              // how soon a stop or a change of the rig is seen
+constexpr milliseconds kSilence{2000};         // without frames for longer: waiting, not well
+constexpr milliseconds kListenersPeriod{500};  // how often to ask whether anybody wants annotations
+constexpr milliseconds kRetry{100};
+constexpr milliseconds kProbe{3000};
+constexpr int kHintAfterAttempts = 4;
+constexpr const char* kParameters = "vision";
+
+std::optional<zenoh::Session> open_session(const zenoh::Config& config, const std::atomic<bool>& stop) {
+    zenoh::init_log();
+    for (int attempt = 1; !stop; ++attempt) {
+        try {
+            return zenoh::Session::open(config);
+        } catch (const zenoh::ZException& error) {
+            if (attempt % 20 == kHintAfterAttempts) {
+                log_warning(
+                    "no router yet, still trying: start one with `armsight up` or `armsight router`; with TLS or a "
+                    "password, check the certificates too",
+                    {{"endpoints", config.get_json("connect/endpoints")}, {"error", error.what()}});
+            }
+        }
+        std::this_thread::sleep_for(kRetry);
+    }
+    return std::nullopt;
+}
+
+// Counts what happens in a window of about a second.
+class Rate {
+  public:
+    // Adds one of this duration; returns rate and mean duration when a window is full.
+    std::optional<std::pair<double, double>> add(SteadyTime now, double ms) {
+        ++count_;
+        sum_ms_ += ms;
+        const double seconds = std::chrono::duration<double>(now - since_).count();
+        if (seconds < 1.0) return std::nullopt;
+        const std::pair result{count_ / seconds, sum_ms_ / count_};
+        *this = Rate(now);
+        return result;
+    }
+    explicit Rate(SteadyTime now) : since_(now) {}
+
+  private:
+    SteadyTime since_;
+    double count_ = 0;
+    double sum_ms_ = 0;
+};
+
+class Service {
+  public:
+    Service(const zenoh::Session& session, const Settings& settings, bool shared_memory);
+    void loop(const std::atomic<bool>& stop);
+
+  private:
+    void take_image(const std::string& camera, zenoh::Sample sample);
+    void rebuild();
+    void answer(const Instant& instant);
+    void annotate_for_listeners(const Instant& instant, const std::vector<MarkerEstimate>& estimates);
+    void report_health(SteadyTime now);
+    void serve_parameters(const std::stop_token& stop);
+
+    const zenoh::Session& session_;
+    std::string parameters_;
+    Counters counters_;
+    Rig rig_;
+    HealthReporter health_;
+    zenoh::Publisher positions_;
+    std::map<std::string, zenoh::Publisher> annotations_;
+    std::map<std::string, bool> has_listeners_;
+    SteadyTime listeners_asked_;
+
+    std::mutex mutex_;  // of pairing_
+    std::condition_variable arrived_;
+    std::optional<Pairing> pairing_;
+
+    std::optional<std::uint64_t> built_version_;
+    std::string problem_;  // why nothing can be built from what the bus told
+    std::vector<Camera> cameras_;
+    std::vector<MarkerModel> markers_;
+    std::optional<Pipeline> pipeline_;
+    SteadyTime answered_;
+    Rate rate_;
+
+    zenoh::Queryable queryable_;
+    std::map<std::string, std::unique_ptr<Reader>> image_readers_;
+    std::list<Reader> readers_;
+    std::jthread parameters_thread_;
+};
+
+Service::Service(const zenoh::Session& session, const Settings& settings, bool shared_memory)
+    : session_(session),
+      health_(session, counters_),
+      positions_(session.declare_publisher(topics::kJointPositions.key, topics::kJointPositions.encoding,
+                                           options_of(topics::kJointPositions))),
+      rate_(steady_clock::now()),
+      queryable_(session.declare_queryable(key_for(topics::kParametersQuery.key, kParameters))) {
+    v1::ParametersResponse response;
+    response.set_json(nlohmann::json{
+        {"connect", settings.connect},
+        {"namespace", settings.name_space},
+        {"zenoh_config", settings.zenoh_config},
+        {"log_level", settings.log_level},
+        {"shared_memory",
+         shared_memory}}.dump());
+    parameters_ = response.SerializeAsString();
+    readers_.emplace_back(session, topics::kDescription, "", counters_,
+                          [this](const zenoh::Sample& sample) { rig_.set(decode_description(sample.get_payload())); });
+    readers_.emplace_back(session, topics::kCameraCalibration, "*", counters_, [this](const zenoh::Sample& sample) {
+        rig_.set(std::string(name_before_last(sample.get_keyexpr())), decode_calibration(sample.get_payload()));
+    });
+    readers_.emplace_back(session, topics::kCameraPose, "*", counters_, [this](const zenoh::Sample& sample) {
+        rig_.set(std::string(name_before_last(sample.get_keyexpr())), decode_pose(sample.get_payload()));
+    });
+    parameters_thread_ = std::jthread([this](const std::stop_token& stop) { serve_parameters(stop); });
+}
+
+void Service::loop(const std::atomic<bool>& stop) {
+    while (!stop) {
+        if (rig_.version() != built_version_) rebuild();
+        std::optional<Instant> instant;
+        {
+            std::unique_lock lock(mutex_);
+            const auto ready = [&] {
+                if (pairing_) instant = pairing_->take(steady_clock::now());
+                return instant.has_value();
+            };
+            arrived_.wait_for(lock, kPoll, ready);
+        }
+        if (instant) answer(*instant);
+        report_health(steady_clock::now());
+    }
+}
+
+// By a reading thread: checks the image and hands it to the loop without copying its pixels.
+void Service::take_image(const std::string& camera, zenoh::Sample sample) {
+    const auto received_ns = static_cast<std::uint64_t>(wall_ns());
+    const auto owner = std::make_shared<const zenoh::Sample>(std::move(sample));
+    const ImageMessage message = decode_image(owner->get_payload());
+    auto checked = validate_image(message.data, message.width, message.height, message.step, message.encoding);
+    if (auto* image = std::get_if<ImageView>(&checked)) {
+        const auto size = rig_.size_of(camera);
+        if (size && *size != std::pair{image->width, image->height}) {
+            checked = Refusal{.counter = "image_refused_calibration",
+                              .text = "the calibration is for images of " + std::to_string(size->first) + " x " +
+                                      std::to_string(size->second) + ", not " + std::to_string(image->width) + " x " +
+                                      std::to_string(image->height)};
+        }
+    }
+    if (const auto* refusal = std::get_if<Refusal>(&checked)) {
+        const auto total = counters_.add(refusal->counter);
+        if (is_worth_a_line(total)) {
+            log_warning("refused an image", {{"camera", camera}, {"reason", refusal->text}, {"total", total}});
+        }
+        return;
+    }
+    if (owner->is_shared_memory()) counters_.add("frames_by_shared_memory");
+    counters_.add("frames_received");
+    {
+        const std::scoped_lock lock(mutex_);
+        if (!pairing_) return;
+        pairing_->add({.camera = camera,
+                       .capture_ns = message.capture_ns,
+                       .sent_ns = decode_sent_ns(owner->get_attachment()),
+                       .received_ns = received_ns,
+                       .image = std::get<ImageView>(checked),
+                       .owner = owner},
+                      steady_clock::now());
+    }
+    arrived_.notify_one();
+}
+
+// From what the bus told of the arm and its cameras. A marker's past is kept unless the markers change.
+void Service::rebuild() {
+    built_version_ = rig_.version();
+    problem_ = rig_.missing();
+    if (!problem_.empty()) return;
+    const auto description = rig_.description();
+    auto cameras = rig_.cameras();
+    for (const Camera& camera : cameras) {
+        if (!is_usable(camera)) problem_ = "the calibration of camera " + camera.name + " cannot be used";
+    }
+    if (!problem_.empty()) return;
+    const auto is_same = [](const MarkerModel& a, const MarkerModel& b) {
+        return a.name == b.name && a.radius == b.radius && a.color == b.color;
+    };
+    try {
+        if (!pipeline_ || !std::ranges::equal(markers_, description->markers, is_same)) {
+            pipeline_.emplace(description->markers);
+            markers_ = description->markers;
+        }
+    } catch (const std::invalid_argument& error) {
+        problem_ = error.what();
+        return;
+    }
+    const bool same_cameras = std::ranges::equal(cameras_, cameras, {}, &Camera::name, &Camera::name);
+    cameras_ = std::move(cameras);
+    if (same_cameras) return;
+    image_readers_.clear();
+    annotations_.clear();
+    {
+        const std::scoped_lock lock(mutex_);
+        pairing_.emplace(description->cameras);
+    }
+    for (const Camera& camera : cameras_) {
+        annotations_.emplace(
+            camera.name,
+            session_.declare_publisher(key_for(topics::kCameraAnnotations.key, camera.name),
+                                       topics::kCameraAnnotations.encoding, options_of(topics::kCameraAnnotations)));
+        image_readers_.emplace(camera.name,
+                               std::make_unique<Reader>(session_, topics::kCameraImage, camera.name, counters_,
+                                                        [this, name = camera.name](zenoh::Sample sample) {
+                                                            take_image(name, std::move(sample));
+                                                        }));
+    }
+}
+
+void Service::answer(const Instant& instant) {
+    const auto begun = steady_clock::now();
+    std::vector<CameraFrame> frames;
+    Stages stages{.frames_sent_ns = 0, .received_ns = 0, .sent_ns = 0};
+    for (const Frame& frame : instant.frames) {
+        const auto camera = std::ranges::find(cameras_, frame.camera, &Camera::name);
+        if (camera == cameras_.end()) continue;
+        frames.push_back({.camera = &*camera, .image = frame.image});
+        stages.frames_sent_ns = std::max(stages.frames_sent_ns, frame.sent_ns);
+        stages.received_ns = std::max(stages.received_ns, frame.received_ns);
+    }
+    const auto estimates = pipeline_->process(instant.capture_ns, frames);
+    stages.sent_ns = static_cast<std::uint64_t>(wall_ns());
+    const std::string payload = encode_positions(instant.capture_ns, estimates, stages).SerializeAsString();
+    positions_.put(zenoh::as_bytes(payload));
+    counters_.add("instants_answered");
+    answered_ = steady_clock::now();
+    const double ms = std::chrono::duration<double, std::milli>(answered_ - begun).count();
+    if (const auto full = rate_.add(answered_, ms)) {
+        health_.gauge("rate_hz", full->first);
+        health_.gauge("process_ms", full->second);
+    }
+    annotate_for_listeners(instant, estimates);
+}
+
+void Service::annotate_for_listeners(const Instant& instant, const std::vector<MarkerEstimate>& estimates) {
+    const auto now = steady_clock::now();
+    if (now - listeners_asked_ > kListenersPeriod) {
+        for (const auto& [camera, publisher] : annotations_) has_listeners_[camera] = publisher.has_subscribers();
+        listeners_asked_ = now;
+    }
+    for (const auto& [camera, publisher] : annotations_) {
+        if (!has_listeners_[camera]) continue;
+        const std::string payload = annotate(instant.capture_ns, camera, estimates).SerializeAsString();
+        publisher.put(zenoh::as_bytes(payload));
+    }
+}
+
+void Service::report_health(SteadyTime now) {
+    if (!problem_.empty()) {
+        health_.report(v1::HEALTH_STATUS_WAITING, problem_);
+        return;
+    }
+    if (now - answered_ > kSilence) {
+        health_.gauge("rate_hz", 0.0);
+        health_.report(v1::HEALTH_STATUS_WAITING, "no frames: is sim running?");
+        return;
+    }
+    std::vector<std::string> gone;
+    {
+        const std::scoped_lock lock(mutex_);
+        gone = pairing_->gone();
+        health_.gauge("frames_unpaired", static_cast<double>(pairing_->dropped()));
+    }
+    if (gone.empty()) {
+        health_.report(v1::HEALTH_STATUS_OK);
+    } else {
+        health_.report(v1::HEALTH_STATUS_DEGRADED,
+                       "no frames from camera " + gone.front() + ": positions from the others");
+    }
+}
+
+void Service::serve_parameters(const std::stop_token& stop) {
+    while (!stop.stop_requested()) {
+        try {
+            if (const auto query = queryable_.recv(milliseconds{100})) {
+                query->reply(zenoh::as_bytes(parameters_), topics::kParametersQuery.response_encoding);
+            }
+        } catch (const zenoh::ZException&) {
+            return;  // the session is closed
+        }
+    }
+}
+
+}  // namespace
+
+int run(const Settings& settings, const std::atomic<bool>& stop) {
+    const bool shared_memory = settings.shared_memory && may_lock(kSharedMemoryLockBytes);
+    if (settings.shared_memory && !shared_memory) {
+        log_warning("no shared memory: this process may lock too few bytes; raise `ulimit -l` to use it",
+                    {{"needed", kSharedMemoryLockBytes}});
+    }
+    const auto session = open_session(session_config(settings, shared_memory), stop);
+    if (!session) return 0;
+    {
+        Service service(*session, settings, shared_memory);
+        service.loop(stop);
+    }
+    session->close();
+    return 0;
+}
+
+int probe(const Settings& settings) {
+    std::atomic<bool> late{false};
+    const std::jthread timer([&late](const std::stop_token& stop) {
+        for (const auto until = steady_clock::now() + kProbe; steady_clock::now() < until && !stop.stop_requested();) {
+            std::this_thread::sleep_for(milliseconds{20});
+        }
+        late = true;
+    });
+    try {
+        const auto session = open_session(session_config(settings, false), late);
+        if (!session) throw std::runtime_error("no router within 3 s");
+        std::string text;
+        try {
+            (void)session->get(key_for(topics::kParametersQuery.key, kParameters), {}, kProbe);
+        } catch (const zenoh::ZException& error) {
+            text = error.what();
+        }
+        session->close();
+        if (!text.empty()) throw std::runtime_error(text);
+    } catch (const ConfigError&) {
+        throw;
+    } catch (const std::exception& error) {
+        std::fprintf(stderr, "vision: %s\n", error.what());
+        return 1;
+    }
+    return 0;
+}
+
+}  // namespace armsight::vision::service

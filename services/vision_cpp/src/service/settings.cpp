@@ -1,0 +1,74 @@
+#include "service/settings.hpp"
+
+#include <CLI/CLI.hpp>
+#include <cstdlib>
+#include <iostream>
+#include <sstream>
+
+namespace armsight::vision::service {
+namespace {
+
+std::string environment(const char* name) {
+    const char* value = std::getenv(name);  // NOLINT(concurrency-mt-unsafe): before any thread is started
+    return value == nullptr ? "" : value;
+}
+
+std::vector<std::string> split(const std::string& text, char separator) {
+    std::vector<std::string> parts;
+    std::stringstream stream(text);
+    for (std::string part; std::getline(stream, part, separator);) {
+        if (!part.empty()) parts.push_back(part);
+    }
+    return parts;
+}
+
+void check_endpoint(const std::string& endpoint) {
+    const auto slash = endpoint.find('/');
+    if (slash == std::string::npos || slash == 0 || slash + 1 == endpoint.size()) {
+        throw ConfigError("endpoint '" + endpoint + "' is not of the form tcp/HOST:PORT");
+    }
+}
+
+void check_namespace(const std::string& name) {
+    const bool has_empty_part = name.starts_with('/') || name.ends_with('/') || name.find("//") != std::string::npos;
+    if (has_empty_part || name.find_first_of("*$?#") != std::string::npos) {
+        throw ConfigError("namespace '" + name + "' is not a key such as '" + kDefaultNamespace + "'");
+    }
+}
+
+}  // namespace
+
+std::optional<Settings> parse_settings(int argc, const char* const* argv) {
+    Settings settings;
+    CLI::App app("Measures the markers' 3D positions in the camera frames on the bus.", "armsight-vision");
+    app.add_option("--connect", settings.connect,
+                   "router to connect to, may be given again (environment ARMSIGHT_CONNECT, default " +
+                       std::string(kDefaultEndpoint) + ")")
+        ->type_name("ENDPOINT");
+    app.add_option("--namespace", settings.name_space,
+                   "the robot's name (environment ARMSIGHT_NAMESPACE, default " + std::string(kDefaultNamespace) + ")")
+        ->type_name("KEY");
+    app.add_option("--zenoh-config", settings.zenoh_config, "Zenoh JSON5 file (environment ARMSIGHT_ZENOH_CONFIG)")
+        ->type_name("FILE");
+    app.add_option("--log-level", settings.log_level, "default: warning")
+        ->check(CLI::IsMember({"debug", "info", "warning", "error"}))
+        ->type_name("LEVEL");
+    app.add_flag("--health", settings.health, "ask the running service whether it answers, and exit");
+    try {
+        app.parse(argc, argv);
+    } catch (const CLI::CallForHelp&) {
+        std::cout << app.help();
+        return std::nullopt;
+    } catch (const CLI::ParseError& error) {
+        throw ConfigError(std::string(error.what()) + "; see --help");
+    }
+    if (settings.connect.empty()) settings.connect = split(environment("ARMSIGHT_CONNECT"), ',');
+    if (settings.name_space.empty()) settings.name_space = environment("ARMSIGHT_NAMESPACE");
+    if (settings.zenoh_config.empty()) settings.zenoh_config = environment("ARMSIGHT_ZENOH_CONFIG");
+    settings.shared_memory = environment("ARMSIGHT_SHARED_MEMORY") != "off";
+    for (const std::string& endpoint : settings.connect) check_endpoint(endpoint);
+    check_namespace(settings.name_space);
+    return settings;
+}
+
+}  // namespace armsight::vision::service
