@@ -123,9 +123,11 @@ class Subscriber(Generic[M]):
         self.thread.join(timeout=1.0)
 
     def _read(self) -> None:
+        # not by the subscriber itself: a waiting recv() of its own would refuse undeclare()
+        handler = self._inner.handler
         while True:
             try:
-                sample = self._inner.recv()
+                sample = handler.recv()
             except zenoh.ZError:
                 break
             received = self._decode(sample)
@@ -204,6 +206,8 @@ class Bus:
         self.session = session
         self.counters = counters if counters is not None else Counters()
         self._threads: list[threading.Thread] = []
+        # a latched value is there for late subscribers as long as its publisher lives, whoever forgets it
+        self._latched: list[zenoh.ext.AdvancedPublisher] = []
 
     def join(self, timeout_s: float = 1.0) -> None:
         """Waits for the reading threads of a closed session.
@@ -227,19 +231,19 @@ class Bus:
         wait = topic.delivery == "block" if block is None else block
         congestion = zenoh.CongestionControl.BLOCK if wait else zenoh.CongestionControl.DROP
         if topic.delivery == "latched":
-            return Publisher(
-                zenoh.ext.declare_advanced_publisher(
-                    self.session,
-                    key,
-                    encoding=encoding,
-                    priority=priority,
-                    # one frozen reader must not stall the arm: what it misses it asks the cache for
-                    congestion_control=zenoh.CongestionControl.DROP,
-                    cache=zenoh.ext.CacheConfig(max_samples=1),
-                    publisher_detection=True,
-                    sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),
-                )
+            latched = zenoh.ext.declare_advanced_publisher(
+                self.session,
+                key,
+                encoding=encoding,
+                priority=priority,
+                # one frozen reader must not stall the arm: what it misses it asks the cache for
+                congestion_control=zenoh.CongestionControl.DROP,
+                cache=zenoh.ext.CacheConfig(max_samples=1),
+                publisher_detection=True,
+                sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),
             )
+            self._latched.append(latched)
+            return Publisher(latched)
         return Publisher(
             self.session.declare_publisher(
                 key, encoding=encoding, congestion_control=congestion, priority=priority, express=topic.express

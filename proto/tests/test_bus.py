@@ -1,6 +1,8 @@
+import gc
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -187,3 +189,22 @@ def test_waiting_on_a_session_that_closes_ends_at_once(router: zenoh.Session, en
     with pytest.raises(SessionClosedError):
         subscriber.recv(10.0)
     assert time.monotonic() - started < 2.0
+
+
+def test_latched_value_outlives_the_handle_that_put_it(two_buses: Buses) -> None:
+    sender, receiver = two_buses
+    sender.publisher(topics.STOP_STATE).put(StopState(stopped=True))
+    gc.collect()
+    late = receiver.subscriber(topics.STOP_STATE)
+    received = late.recv(5.0)
+    assert received is not None
+    assert received.message.stopped
+
+
+@pytest.mark.parametrize("topic", [topics.CLOCK, topics.STOP_STATE], ids=["plain", "latched"])
+def test_subscriber_closes_while_it_waits(two_buses: Buses, topic: topics.Topic[Any]) -> None:
+    subscriber = two_buses[1].subscriber(topic)
+    subscriber.close()
+    assert not subscriber.thread.is_alive()
+    with pytest.raises(SessionClosedError):
+        subscriber.recv(1.0)

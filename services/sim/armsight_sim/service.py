@@ -15,6 +15,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 
 from armsight import topics
+from armsight.bus import Received
 from armsight.images import encode_rgb8
 from armsight.schema import descriptor_set
 from armsight.service import Context
@@ -42,6 +43,8 @@ _IDLE_S = 0.05
 _REFUSAL_SHOWN_S = 5.0
 _STAMP = struct.Struct("<Q")
 _VISIBLE_GROUP = 3
+_OWN_TARGETS = 64
+"""Capture times that are remembered to tell our own targets from others: two seconds of them."""
 
 
 class Simulation:
@@ -76,6 +79,9 @@ class Simulation:
         self._accepted = bus.publisher(topics.JOINTS_ACCEPTED)
         self._clock = bus.publisher(topics.CLOCK)
         self._target = bus.publisher(topics.TARGET) if settings.target != "none" else None
+        self._own_targets: deque[int] = deque(maxlen=_OWN_TARGETS)
+        if self._target is not None:
+            bus.subscriber(topics.TARGET, on_message=self._target_from_elsewhere)
         self._stop_state = bus.publisher(topics.STOP_STATE)
         self._stop_state.put(self._stops.message())
         bus.subscriber(
@@ -151,11 +157,18 @@ class Simulation:
                 speed=self._rate_hz() / self._settings.fps,
             )
         )
-        if self._target is not None:
+        target = self._target
+        if target is not None:
             frame_id, point = TARGETS[self._settings.target]
             message = Point3InFrame(timestamp=stamp, frame_id=frame_id)
             message.point.x, message.point.y, message.point.z = point(self._instants.elapsed_s(self._motion.frame))
-            self._target.put(message)
+            self._own_targets.append(capture_ns)
+            target.put(message)
+
+    def _target_from_elsewhere(self, received: Received[Point3InFrame]) -> None:
+        """Somebody else has a target for the arm: the demonstration ends, or the two would pull it to and fro."""
+        if from_timestamp(received.message.timestamp) not in self._own_targets:
+            self._target = None
 
     def _publish_accepted(self, capture_ns: int) -> None:
         accepted = self._motion.accepted

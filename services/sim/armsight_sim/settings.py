@@ -82,7 +82,10 @@ def argument_parser() -> argparse.ArgumentParser:
         "--samples", type=int, choices=[0, 4], default=0, help="for each pixel; 4 is smoother and slower (default: 0)"
     )
     parser.add_argument(
-        "--target", choices=["none", *TARGETS], default="none", help="moving target to publish (default: none)"
+        "--target",
+        choices=["none", *TARGETS],
+        default="none",
+        help="moving target to publish until somebody else publishes one (default: none)",
     )
     parser.add_argument("--start-time", metavar="TIME", help="RFC 3339 or Unix nanoseconds, for runs that repeat")
     parser.add_argument("--ambient", default="0.4", help="ambient light, 0 to 1, or 'sweep' (default: 0.4)")

@@ -11,7 +11,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from armsight_operator.cli import router
+from armsight_operator.cli import motion, router, status, stop, topics, up
 
 REFUSED = 1
 """Exit code: a service refused, or nobody answered."""
@@ -72,6 +72,15 @@ def armsight() -> None:
     """Makes `armsight` a group however many commands it has."""
 
 
+app.command("up")(up.up)
+app.command("status")(status.status)
+app.command("move", context_settings=NEGATIVE_NUMBERS)(motion.move)
+app.command("target", context_settings=NEGATIVE_NUMBERS)(motion.target)
+app.command("mode")(motion.mode)
+app.command("stop")(stop.stop)
+app.command("release")(stop.release)
+app.command("reset", context_settings=NEGATIVE_NUMBERS)(motion.reset)
+app.add_typer(topics.app, name="topics")
 app.command("router")(router.router)
 
 

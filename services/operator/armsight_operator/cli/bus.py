@@ -55,3 +55,14 @@ def connected(config: SessionConfig, timeout_s: float = ROUTER_TIMEOUT_S) -> Ite
         )
     with open_bus(session) as bus:
         yield bus
+
+
+@contextmanager
+def wait_connected(config: SessionConfig, stop: threading.Event) -> Iterator[Bus | None]:
+    """A bus as soon as there is a router; nothing once ``stop`` is set."""
+    session = open_session(replace(config, mode="client"), stop)
+    if session is None:
+        yield None
+        return
+    with open_bus(session) as bus:
+        yield bus

@@ -1,1 +1,6 @@
-"""What the cameras and the vision see, as one picture to look at."""
+"""An annotated picture of what the cameras see and vision measures."""
+
+from armsight_operator.picture.draw import View, draw
+from armsight_operator.picture.take import take_views
+
+__all__ = ["View", "draw", "take_views"]

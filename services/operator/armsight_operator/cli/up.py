@@ -1,0 +1,120 @@
+"""`armsight up`: the full stack on this machine until Ctrl-C."""
+
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from armsight_operator.errors import OperatorError
+
+if TYPE_CHECKING:
+    from armsight.bus import Bus
+    from armsight_operator.monitor import Monitor, Snapshot
+    from armsight_operator.stack import Stack, Supervisor
+
+_PICTURE_EVERY_S = 10.0
+_LINE_EVERY_S = 5.0
+"""Without a terminal; in one the line is kept up to date."""
+_POLL_S = 0.2
+
+
+def up(
+    port: Annotated[int, typer.Option(help="Of the router, on this machine only.", min=1, max=65535)] = 7447,
+    mode: Annotated[str, typer.Option(help="Control's first mode.")] = "track",
+    target: Annotated[str, typer.Option(help="Moving target: default, exercise, visible or none.")] = "default",
+    clock: Annotated[str, typer.Option(help="realtime or lockstep.")] = "realtime",
+    samples: Annotated[int, typer.Option(help="Samples a pixel: 0 or 4 (smoother, slower).")] = 0,
+    out: Annotated[Path, typer.Option(help="Folder for the picture and the logs.")] = Path("armsight-out"),
+    namespace: Annotated[str, typer.Option(help="The robot's name.")] = "robots/arm",
+    restart: Annotated[bool, typer.Option(help="Start a service again that died.")] = True,
+) -> None:
+    """Run the full stack on this machine: router, sim, vision and control. Ctrl-C stops all of it."""
+    from armsight_operator.stack import Stack, Supervisor
+
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    began = time.monotonic()
+    extra = {"target": target, "clock": clock, "samples": samples, "mode": mode}
+    with Stack(out=out, port=port, namespace=namespace, **extra) as stack:  # type: ignore[arg-type]
+        stack.start_all()
+        print(f"armsight starts on {stack.endpoint}; logs in {stack.log_folder}; Ctrl-C stops it", flush=True)
+        _watch(stack, Supervisor(stack, restart=restart), stop, began, out / "view.png")
+
+
+def _watch(stack: "Stack", supervisor: "Supervisor", stop: threading.Event, began: float, picture: Path) -> None:
+    from armsight.session import SessionConfig
+    from armsight_operator.cli.bus import wait_connected
+    from armsight_operator.monitor import Monitor
+
+    config = SessionConfig(endpoints=(stack.endpoint,), namespace=stack.namespace, shared_memory="off")
+    with wait_connected(config, stop) as bus:
+        if bus is None:
+            return
+        monitor = Monitor(bus)
+        painter = threading.Thread(target=_paint, args=(bus, monitor, picture, stop), name="picture", daemon=True)
+        line = _LiveLine()
+        ready_s: float | None = None
+        while not stop.wait(_POLL_S):
+            for death in supervisor.poll():
+                line.print(f"armsight: {death}")
+                if death.hopeless:
+                    raise OperatorError(f"{death.name} can't use its configuration: {death.last_line}")
+            snapshot = monitor.snapshot()
+            if ready_s is None and snapshot.ready:
+                ready_s = time.monotonic() - began
+                line.print(f"ready after {ready_s:.1f} s; what the cameras see: {picture}")
+                painter.start()
+            line.update(snapshot)
+        line.end()
+        if ready_s is not None:
+            painter.join(timeout=1.0)
+    print("armsight stopped", flush=True)
+
+
+def _paint(bus: "Bus", monitor: "Monitor", picture: Path, stop: threading.Event) -> None:
+    from armsight.errors import ArmsightError
+    from armsight_operator.cli.status import live_line
+    from armsight_operator.picture import draw, take_views
+
+    while not stop.is_set():
+        try:
+            image = draw(take_views(bus), live_line(monitor.snapshot()))
+            partial = picture.with_suffix(".part.png")
+            image.save(partial)
+            partial.replace(picture)  # whoever looks sees the old or the new one, never half of it
+        except (ArmsightError, ValueError, OSError) as error:
+            if not stop.is_set():
+                print(f"\narmsight: no picture: {error}", file=sys.stderr, flush=True)
+        stop.wait(_PICTURE_EVERY_S)
+
+
+class _LiveLine:
+    """One line that is kept up to date in a terminal, and repeated now and then elsewhere."""
+
+    def __init__(self) -> None:
+        self._in_terminal = sys.stdout.isatty()
+        self._printed_s = 0.0
+
+    def update(self, snapshot: "Snapshot") -> None:
+        from armsight_operator.cli.status import live_line
+
+        text = live_line(snapshot)
+        if self._in_terminal:
+            width = os.get_terminal_size(sys.stdout.fileno()).columns or 120
+            print(f"\r\x1b[K{text[: width - 1]}", end="", flush=True)
+        elif time.monotonic() - self._printed_s >= _LINE_EVERY_S:
+            self._printed_s = time.monotonic()
+            print(text, flush=True)
+
+    def print(self, text: str) -> None:
+        print(f"\r\x1b[K{text}" if self._in_terminal else text, flush=True)
+
+    def end(self) -> None:
+        if self._in_terminal:
+            print(flush=True)

@@ -1,0 +1,140 @@
+"""What the services say of themselves, gathered: health, mode, rate, latency, error."""
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from armsight import topics
+from armsight.bus import Bus, Received
+from armsight.v1.control_pb2 import ControlMode, ControlState, ControlStatus
+from armsight.v1.health_pb2 import HEALTH_STATUS_OK, Health, HealthStatus
+from armsight.v1.safety_pb2 import StopState
+
+SERVICES = ("sim", "vision", "control")
+
+_STALE_S = 2.5
+"""Health comes once a second: two may be lost before a service counts as missing."""
+_RATE_WINDOW_S = 2.0
+_LATENCIES = 300
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceState:
+    """One service as it reported itself last."""
+
+    name: str
+    status: str
+    """``ok``, ``waiting``, ``degraded`` or ``missing``."""
+    detail: str
+    counters: dict[str, int] = field(default_factory=dict)
+    gauges: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The system at one moment."""
+
+    services: tuple[ServiceState, ...]
+    mode: str
+    """Empty while control is silent."""
+    state: str
+    detail: str
+    joints: dict[str, float]
+    """Estimated, rad."""
+    tip: tuple[float, float, float] | None
+    """Estimated, base frame, metres."""
+    target: tuple[float, float, float] | None
+    rate_hz: float
+    """Answers of control."""
+    latency_p50_ms: float | None
+    """Frames sent to command sent."""
+    latency_p99_ms: float | None
+    stopped_by: tuple[str, ...]
+
+    @property
+    def ready(self) -> bool:
+        """Whether every service of the loop is well."""
+        return all(service.status == "ok" for service in self.services if service.name in SERVICES)
+
+    @property
+    def error_m(self) -> float | None:
+        """Distance of the estimated tip from the target."""
+        return None if self.tip is None or self.target is None else math.dist(self.tip, self.target)
+
+
+class Monitor:
+    """Listens to health, status and stop; the loop notices nothing of it."""
+
+    def __init__(self, bus: Bus) -> None:
+        """Subscribes."""
+        self._lock = threading.Lock()
+        self._health: dict[str, Received[Health]] = {}
+        self._status: Received[ControlStatus] | None = None
+        self._answers: deque[float] = deque(maxlen=_LATENCIES)
+        self._latencies: deque[float] = deque(maxlen=_LATENCIES)
+        self._stop: StopState | None = None
+        bus.subscriber(topics.HEALTH, "*", on_message=self._take_health)
+        bus.subscriber(topics.CONTROL_STATUS, on_message=self._take_status)
+        bus.subscriber(topics.STOP_STATE, on_message=self._take_stop)
+
+    def snapshot(self) -> Snapshot:
+        """What is known now."""
+        now = time.monotonic()
+        with self._lock:
+            names = [*SERVICES, *sorted(set(self._health) - set(SERVICES))]
+            services = tuple(_service_state(name, self._health.get(name), now) for name in names)
+            fresh = self._status is not None and now - self._status.received_s < _STALE_S
+            status = self._status.message if fresh and self._status is not None else ControlStatus()
+            recent = [at for at in self._answers if now - at < _RATE_WINDOW_S]
+            latencies = sorted(self._latencies) if fresh else []
+            sources = [] if self._stop is None else [s.name for s in self._stop.sources if s.stopped]
+        has_pose = bool(status.joints) and status.HasField("tip")
+        return Snapshot(
+            services=services,
+            mode=_word(ControlMode.Name(status.mode), "CONTROL_MODE_").replace("_", "-") if fresh else "",
+            state=_word(ControlState.Name(status.state), "CONTROL_STATE_") if fresh else "",
+            detail=status.detail,
+            joints={joint.name: joint.position_rad for joint in status.joints},
+            tip=(status.tip.x, status.tip.y, status.tip.z) if has_pose else None,
+            target=(status.target.x, status.target.y, status.target.z) if status.HasField("target") else None,
+            rate_hz=len(recent) / _RATE_WINDOW_S,
+            latency_p50_ms=_percentile(latencies, 0.50),
+            latency_p99_ms=_percentile(latencies, 0.99),
+            stopped_by=tuple(sources),
+        )
+
+    def _take_health(self, received: Received[Health]) -> None:
+        with self._lock:
+            self._health[received.name] = received
+
+    def _take_status(self, received: Received[ControlStatus]) -> None:
+        with self._lock:
+            self._status = received
+            self._answers.append(received.received_s)
+            stages = received.message.stages
+            if stages.frames_sent_ns and stages.control_sent_ns > stages.frames_sent_ns:
+                self._latencies.append((stages.control_sent_ns - stages.frames_sent_ns) / 1e6)
+
+    def _take_stop(self, received: Received[StopState]) -> None:
+        with self._lock:
+            self._stop = received.message
+
+
+def _service_state(name: str, received: Received[Health] | None, now: float) -> ServiceState:
+    if received is None or now - received.received_s > _STALE_S:
+        return ServiceState(name, "missing", "not heard of" if received is None else "silent: restart it")
+    health = received.message
+    status = "ok" if health.status == HEALTH_STATUS_OK else _word(HealthStatus.Name(health.status), "HEALTH_STATUS_")
+    return ServiceState(name, status, health.detail, dict(health.counters), dict(health.gauges))
+
+
+def _word(name: str, prefix: str) -> str:
+    return name.removeprefix(prefix).lower()
+
+
+def _percentile(ordered: Iterable[float], share: float) -> float | None:
+    values = list(ordered)
+    return values[min(len(values) - 1, int(share * len(values)))] if values else None
