@@ -1,0 +1,176 @@
+"""The figures as JSON and as Markdown."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armsight_operator.report.chain import Array
+from armsight_operator.report.measure import Descent, Part, PoseRow, Random, mean_squared
+
+REPORT_MSE = 0.155
+"""Of the report's own table, m²."""
+
+
+@dataclass(slots=True)
+class Results:
+    """Everything that one run of the report measured."""
+
+    samples: int
+    quick: bool
+    table1: list[PoseRow]
+    part1: Part
+    part2: Part
+    descents: list[Descent]
+    latencies_ms: Array
+    random: Random | None = None
+
+
+def to_json(results: Results) -> dict[str, Any]:
+    """What ``summary.json`` holds; metres, radians, milliseconds."""
+    rows = results.table1
+    summary: dict[str, Any] = {
+        "samples": results.samples,
+        "quick": results.quick,
+        "table1": {
+            "mse": mean_squared(_errors(rows)),
+            "report_mse": REPORT_MSE,
+            "report_method_mse": mean_squared(np.array([row.report_method - row.truth for row in rows])),
+            "rows": [_row(row) for row in rows],
+        },
+        "part1": _part(results.part1),
+        "part2": _part(results.part2),
+        "ik": {
+            descent.initialisation: {
+                "targets": descent.targets,
+                "converged": descent.converged,
+                "share": descent.converged / descent.targets,
+            }
+            for descent in results.descents
+        },
+        "latency_ms": {
+            "p50": float(np.percentile(results.latencies_ms, 50)),
+            "p99": float(np.percentile(results.latencies_ms, 99)),
+        },
+    }
+    if results.random is not None:
+        distance = np.linalg.norm(results.random.error, axis=1)
+        summary["random"] = {
+            "seed": results.random.seed,
+            "poses": len(distance),
+            "mse": mean_squared(results.random.error),
+            "mean": float(distance.mean()),
+            "p99": float(np.percentile(distance, 99)),
+        }
+    return summary
+
+
+def to_markdown(results: Results) -> str:
+    """The same for people."""
+    summary = to_json(results)
+    table = summary["table1"]
+    lines = [
+        "# armsight report",
+        "",
+        f"Whole pipeline in lockstep: frames with {results.samples or 'no'} samples a pixel, over the bus, to angles and "
+        "commands. Truth is the simulator's.",
+        "",
+        "## End effector in ten poses",
+        "",
+        "Base frame, metres; errors against K of the true angles.",
+        "",
+        "| θ | ϕ | ψ | measured | K(q) | error, mm | the report, mm | its method here, mm |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in results.table1:
+        ours, theirs, method = (
+            1000 * float(np.linalg.norm(point - row.truth))
+            for point in (row.measured, row.report_measured, row.report_method)
+        )
+        lines.append(
+            f"| {row.theta:g} | {row.phi:g} | {row.psi:g} | {_point(row.measured)} | {_point(row.truth)} "
+            f"| {ours:.1f} | {theirs:.0f} | {method:.0f} |"
+        )
+    lines += [
+        "",
+        f"MSE: **{table['mse']:.2g} m²**; the report {table['report_mse']:.3g}; its method on the same frames "
+        f"{table['report_method_mse']:.3g}.",
+        "",
+        "![end effector error](table1.png)",
+        "",
+    ]
+    for title, key in (("Part I: joint 1 fixed", "part1"), ("Part II: joint 2 fixed", "part2")):
+        part = summary[key]
+        lines += [
+            f"## {title}",
+            "",
+            "| joint | RMS, mrad | max, mrad | observable |",
+            "|---|---|---|---|",
+            *(
+                f"| {symbol} | {1000 * part['rms'][symbol]:.1f} | {1000 * part['max'][symbol]:.1f} "
+                f"| {100 * part['observable'][symbol]:.0f} % |"
+                for symbol in part["rms"]
+            ),
+            "",
+            f"![angles]({key}_angles.png)",
+            "",
+            f"![errors]({key}_errors.png)",
+            "",
+        ]
+    lines += [
+        "## Inverse kinematics: the report's gradient descent",
+        "",
+        "| start | targets | converged |",
+        "|---|---|---|",
+    ]
+    lines += [f"| {d.initialisation} | {d.targets} | {100 * d.converged / d.targets:.0f} % |" for d in results.descents]
+    if results.random is not None:
+        r = summary["random"]
+        lines += [
+            "",
+            f"## {r['poses']} random poses (seed {r['seed']})",
+            "",
+            f"End effector: mean {1000 * r['mean']:.1f} mm, p99 {1000 * r['p99']:.1f} mm, MSE {r['mse']:.2g} m².",
+        ]
+    latency = summary["latency_ms"]
+    lines += [
+        "",
+        "## Latency",
+        "",
+        f"Frames sent to command sent: p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _part(part: Part) -> dict[str, Any]:
+    rms, worst, share = {}, {}, {}
+    for index, symbol in enumerate(part.symbols):
+        counted = part.error[part.observable[:, index], index]
+        rms[symbol] = float(np.sqrt(np.mean(counted**2))) if counted.size else float("nan")
+        worst[symbol] = float(np.abs(counted).max()) if counted.size else float("nan")
+        share[symbol] = float(part.observable[:, index].mean())
+    return {"rms": rms, "max": worst, "observable": share, "frames": len(part.time_s)}
+
+
+def _row(row: PoseRow) -> dict[str, Any]:
+    return {
+        "theta": row.theta,
+        "phi": row.phi,
+        "psi": row.psi,
+        "measured": row.measured.tolist(),
+        "truth": row.truth.tolist(),
+        "mse": mean_squared(row.measured - row.truth),
+        "report_measured": row.report_measured.tolist(),
+        "report_mse": mean_squared(row.report_measured - row.truth),
+        "report_method": row.report_method.tolist(),
+        "report_method_mse": mean_squared(row.report_method - row.truth),
+    }
+
+
+def _errors(rows: list[PoseRow]) -> Array:
+    return np.array([row.measured - row.truth for row in rows])
+
+
+def _point(point: Array) -> str:
+    return f"({', '.join(f'{value:.3f}' for value in point)})"
