@@ -46,8 +46,8 @@ class Motion:
 
     @property
     def accepted(self) -> Vector:
-        """The setpoint in force."""
-        return self._setpoint.position
+        """The setpoint in force: the last command as it is applied."""
+        return self._setpoint.accepted
 
     def command(self, command: JointCommand, *, stopped: bool) -> Decision:
         """Takes or refuses one command."""

@@ -46,6 +46,12 @@ class Setpoint:
         """Coming to rest, or at rest, until the next command."""
         return self._braking
 
+    @property
+    def accepted(self) -> Vector:
+        """The last command, or how far towards it the speed limit and braking have let the setpoint come."""
+        in_one_period = np.abs(self._goal - self.position) <= self._max_speed * self._period
+        return self._goal if not self._braking and in_one_period.all() else self.position
+
     def command(self, goal: Vector) -> None:
         """Sets where to go."""
         self._goal = goal.copy()

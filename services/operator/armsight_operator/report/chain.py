@@ -9,6 +9,7 @@ from armsight.v1.description_pb2 import ArmDescription, Attachment
 from armsight.v1.geometry_pb2 import Quaternion, Vector3
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 MARKER_NOISE_M = 0.002
 """Of each marker and axis, for telling which joints can be observed at a pose."""
@@ -94,7 +95,7 @@ def arm_of(description: ArmDescription) -> Arm:
 
 
 def tip_from_markers(arm: Arm, markers: dict[str, Array]) -> Array:
-    """The end effector from measured marker centres (any frame): on the line through the two that move with the last link.
+    """The end effector from measured marker centres, any frame: on the line through the two of the last link.
 
     For this arm: ``r4 = (red - blue) / 2.75``, ``tip = red - 0.15 r4``.
     """

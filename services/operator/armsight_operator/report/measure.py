@@ -10,12 +10,12 @@ import numpy as np
 
 from armsight.v1.control_pb2 import IK_STATUS_CONVERGED
 from armsight_operator.report import fixed_scale
-from armsight_operator.report.chain import OBSERVABLE_RAD, Array, tip_from_markers
+from armsight_operator.report.chain import OBSERVABLE_RAD, Array, Flags, tip_from_markers
 from armsight_operator.report.run import Instant, Run
 
 Progress = Callable[[float], None]
 
-# sin(pi t / period) times the amplitude in units of pi/2, for each of the arm's joints (arm.md, motions to evaluate on).
+# Of sin(pi t / period) for each joint: the motions that the report evaluates on.
 PART1_PERIODS = (0.0, 15.0, 20.0, 18.0)
 PART2_PERIODS = (28.0, 0.0, 20.0, 18.0)
 
@@ -49,7 +49,7 @@ class Part:
     estimated: Array
     """instants x free joints, rad."""
     true: Array
-    observable: Array
+    observable: Flags
     """instants x free joints: whether 2 mm of marker noise moves the joint by less than 10 mrad there."""
 
     @property

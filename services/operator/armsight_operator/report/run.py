@@ -120,13 +120,14 @@ class Run:
         true = self._bus.subscriber(topics.JOINTS_TRUE, keep=_FIFO)
         estimated = self._bus.subscriber(topics.JOINTS_ESTIMATED, keep=_FIFO)
         status = self._bus.subscriber(topics.CONTROL_STATUS, keep=_FIFO)
+        truths, estimates = _ByTime(true), _ByTime(estimated)
+        truths.wait()  # the first instant in the new mode may be one whose truth is published already
         request = SetModeRequest(mode=f"CONTROL_MODE_{mode.upper().replace('-', '_')}", start_s=start_s)
         self._bus.query(topics.MODE, request, timeout_s=_ANSWER_S)
         wanted = ControlMode.Value(f"CONTROL_MODE_{mode.upper().replace('-', '_')}")
         try:
             first = self._next(status, lambda m: m.mode == wanted)
             begin = from_timestamp(first.capture_time)
-            truths, estimates = _ByTime(true), _ByTime(estimated)
             instants: list[Instant] = []
             message = first
             while (stamp := from_timestamp(message.capture_time)) < begin + round(duration_s * NS_PER_S):
@@ -171,18 +172,26 @@ class _ByTime:
         self._subscriber = subscriber
         self._kept: dict[int, Array] = {}
 
+    def wait(self) -> None:
+        """Until the first sample is there: from then on none is missed."""
+        self._take(_ANSWER_S)
+
     def at(self, stamp: int) -> Array:
+        """Angles of an instant; those of earlier ones are forgotten."""
         until = time.monotonic() + _ANSWER_S
         while stamp not in self._kept and time.monotonic() < until:
-            received = self._subscriber.recv(until - time.monotonic())
-            if received is not None:
-                angles = np.array([joint.position for joint in received.message.joints])
-                self._kept[from_timestamp(received.message.timestamp)] = angles
+            self._take(until - time.monotonic())
         if stamp not in self._kept:
             raise NoDataError(f"no joint angles for the instant {stamp}")
         found = self._kept[stamp]
         self._kept = {time_ns: angles for time_ns, angles in self._kept.items() if time_ns > stamp}
         return found
+
+    def _take(self, timeout_s: float) -> None:
+        received = self._subscriber.recv(timeout_s)
+        if received is not None:
+            angles = np.array([joint.position for joint in received.message.joints])
+            self._kept[from_timestamp(received.message.timestamp)] = angles
 
 
 def wait_ready(monitor: Monitor, timeout_s: float = _READY_S) -> None:

@@ -69,11 +69,12 @@ def to_markdown(results: Results) -> str:
     """The same for people."""
     summary = to_json(results)
     table = summary["table1"]
+    rendering = "4 samples a pixel" if results.samples else "no multisampling"
+    peers = f"the report {REPORT_MSE}; its method on these frames {table['report_method_mse']:.3g}"
     lines = [
         "# armsight report",
         "",
-        f"Whole pipeline in lockstep: frames with {results.samples or 'no'} samples a pixel, over the bus, to angles and "
-        "commands. Truth is the simulator's.",
+        f"Whole pipeline in lockstep, {rendering}: frames, bus, vision, control.",
         "",
         "## End effector in ten poses",
         "",
@@ -93,8 +94,7 @@ def to_markdown(results: Results) -> str:
         )
     lines += [
         "",
-        f"MSE: **{table['mse']:.2g} m²**; the report {table['report_mse']:.3g}; its method on the same frames "
-        f"{table['report_method_mse']:.3g}.",
+        f"MSE **{table['mse']:.2g} m²**; {peers}.",
         "",
         "![end effector error](table1.png)",
         "",
