@@ -3,8 +3,9 @@
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +15,7 @@ from armsight.session import SessionConfig, open_session
 from armsight.times import NS_PER_S, from_timestamp, to_duration, to_timestamp
 from armsight.v1.control_pb2 import ControlMode, ControlState, ControlStatus, SetModeRequest
 from armsight.v1.health_pb2 import HEALTH_STATUS_OK, Health
-from armsight.v1.joints_pb2 import JointCommand, JointPositions, JointSetpoint
+from armsight.v1.joints_pb2 import JointCommand, JointSetpoint
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest
 from armsight.v1.sim_pb2 import ResetRequest
 from armsight_operator.stack import Stack
@@ -25,6 +26,8 @@ from google.protobuf.message import Message
 Vector = npt.NDArray[np.float64]
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 SERVICES = ("sim", "vision", "control")
+
+_RECORDED = (topics.JOINT_POSITIONS, topics.JOINT_COMMAND, topics.JOINTS_TRUE)
 
 # Faster than a controller at rest lets any joint creep, slower than any motion that the tests ask for.
 _MOVING_RAD_S = 0.01
@@ -138,6 +141,9 @@ class Rig:
             self._bus.subscriber(topics.HEALTH, "*", on_message=keep)
         return self._bus
 
+    def heard_of(self, service: str) -> bool:
+        return service in self._health
+
     def counters(self, service: str) -> dict[str, int]:
         return dict(self._health[service].message.counters)
 
@@ -154,7 +160,7 @@ class Rig:
         )
         self.bus.query(topics.MODE, request)
 
-    def reset(self, joints: Sequence[float]) -> int:
+    def reset(self, joints: Iterable[float]) -> int:
         request = ResetRequest(
             joints=[JointSetpoint(name=j, position_rad=q) for j, q in zip(JOINTS, joints, strict=True)]
         )
@@ -167,7 +173,7 @@ class Rig:
         self.bus.query(topics.STOP, StopRequest(action=STOP_ACTION_RELEASE, source=source))
 
     def put_command(self, positions: dict[str, float], age_s: float = 0.0) -> None:
-        truth = self._latest_truth()
+        truth = self._next_truth()
         command = JointCommand(
             answers=to_timestamp(from_timestamp(truth.timestamp) - round(age_s * NS_PER_S)),
             valid_for=to_duration(0.1),
@@ -246,16 +252,28 @@ class Rig:
         commands.close()
         return len(captured) / seconds, len(captured & answered) / len(captured)
 
-    def mode_and_next_instant(self, name: str, start_s: float) -> int:
-        """Sets a mode in lockstep; returns the first instant that is answered in it."""
-        self.mode(name, start_s=start_s)
-        wanted = ControlMode.Value(f"CONTROL_MODE_{name.upper().replace('-', '_')}")
-        assert self._status is not None
-        while True:
-            received = self._status.recv(10.0)
-            assert received is not None, f"no status in mode {name}\n{self.describe()}"
-            if received.message.mode == wanted:
-                return from_timestamp(received.message.capture_time)
+    def record_from_the_start(self, instants: int) -> dict[str, list[bytes]]:
+        """Starts everything, sim last; the first messages by key, in order of their instants, without wall-clock times."""
+        for name in ("router", "vision", "control"):
+            self.start(name)
+        kept: dict[str, dict[int, bytes]] = {topic.key: {} for topic in _RECORDED}
+
+        def keep(received: Received[Any]) -> None:
+            stamp, content = without_stages(received.message)
+            kept[received.key.removeprefix(f"{self.stack.namespace}/")].setdefault(stamp, content)
+
+        for topic in _RECORDED:
+            self.bus.subscriber(topic, keep=1000, on_message=keep)
+        self.wait_until(lambda: {"vision", "control"} <= set(self._health), 20, "vision and control are there")
+        self.start("sim")
+        self.wait_until(lambda: all(len(seen) > instants for seen in kept.values()), 60, f"{instants} instants")
+        return {key: [seen[stamp] for stamp in sorted(seen)[:instants]] for key, seen in kept.items()}
+
+    def _next_truth(self) -> JointStates:
+        """Of an instant that nobody has answered yet."""
+        before = from_timestamp(self._latest_truth().timestamp)
+        self.wait_until(lambda: from_timestamp(self._latest_truth().timestamp) > before, 5, "the next instant")
+        return self._latest_truth()
 
     def _latest_truth(self) -> JointStates:
         _ = self.bus
@@ -266,13 +284,14 @@ class Rig:
         return latest.message
 
 
-def without_stages(message: Message) -> bytes:
-    """A message's bytes without the wall-clock times of its stages, which no two runs share."""
+def without_stages(message: Message) -> tuple[int, bytes]:
+    """A message's instant, and its bytes without the wall-clock times of its stages, which no two runs share."""
     copy = type(message)()
     copy.CopyFrom(message)
-    if isinstance(copy, (JointPositions, JointCommand)):
+    if "stages" in message.DESCRIPTOR.fields_by_name:
         copy.ClearField("stages")
-    return copy.SerializeToString(deterministic=True)
+    field = next(name for name in ("capture_time", "answers", "timestamp") if name in message.DESCRIPTOR.fields_by_name)
+    return from_timestamp(getattr(message, field)), copy.SerializeToString(deterministic=True)
 
 
 def tip_with_joint_2_fixed(q: Vector) -> Vector:
@@ -283,5 +302,3 @@ def tip_with_joint_2_fixed(q: Vector) -> Vector:
     side = 2.8 * np.sin(psi)
     up = np.cos(phi) * (2.8 * np.cos(psi) + 3.2) + 4.0
     return np.array([cos_theta * side + sin_theta * reach, sin_theta * side - cos_theta * reach, up])
-
-

@@ -19,7 +19,9 @@ def test_loop_runs_whatever_the_order_of_start(empty: Rig, order: tuple[str, ...
         empty.pause(0.7)
     empty.wait_ready()
     empty.mode("joints", (0.3, 0.0, 0.4, 0.2))
-    empty.wait_until(lambda: np.abs(empty.true_joints() - (0.3, 0.0, 0.4, 0.2)).max() < 0.005, 15, "the goal is reached")
+    empty.wait_until(
+        lambda: np.abs(empty.true_joints() - (0.3, 0.0, 0.4, 0.2)).max() < 0.005, 15, "the goal is reached"
+    )
 
 
 def test_every_service_ends_within_two_seconds_of_sigterm(empty: Rig) -> None:

@@ -1,0 +1,62 @@
+"""`armsight report`: the figures that the project promises, through the real pipeline."""
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from armsight_operator.stack.executables import find_executable
+
+SEED = 90125  # of the random poses; used nowhere in development
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("report")
+    command = [find_executable("router"), "report", "--quick", "--poses", "40", "--seed", str(SEED), "--out", out]
+    subprocess.run(command, check=True, timeout=200)
+    return out
+
+
+@pytest.fixture(scope="module")
+def summary(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    return found
+
+
+def test_end_effector_of_the_ten_poses_is_within_the_bar(summary: dict[str, Any]) -> None:
+    assert len(summary["table1"]["rows"]) == 10
+    assert summary["table1"]["mse"] <= 5e-4
+
+
+def test_report_method_on_our_frames_is_as_wrong_as_it_was_measured(summary: dict[str, Any]) -> None:
+    # 0.156 to 0.160 were measured before this was written: a peer that came out better or worse would be another method
+    assert 0.15 < summary["table1"]["report_method_mse"] < 0.165
+
+
+@pytest.mark.parametrize(("part", "joints"), [("part1", ("nu", "phi", "psi")), ("part2", ("theta", "phi", "psi"))])
+def test_angles_of_both_parts_are_within_the_bar(summary: dict[str, Any], part: str, joints: tuple[str, ...]) -> None:
+    figures = summary[part]
+    for joint in joints:
+        assert figures["observable"][joint] > 0.5, joint
+        assert figures["rms"][joint] <= 0.03, joint
+        assert figures["max"][joint] <= 0.15, joint
+
+
+def test_random_poses_are_measured_without_wild_values(summary: dict[str, Any]) -> None:
+    assert summary["random"]["poses"] == 40
+    assert summary["random"]["mean"] < 0.03
+
+
+def test_latency_and_inverse_kinematics_are_told(summary: dict[str, Any]) -> None:
+    assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
+    assert set(summary["ik"]) == {"fixed", "previous", "random"}
+    assert all(0 <= start["share"] <= 1 for start in summary["ik"].values())
+
+
+def test_pictures_and_markdown_are_written(folder: Path) -> None:
+    names = {"report.md", "table1.png", "part1_angles.png", "part1_errors.png", "part2_angles.png", "part2_errors.png"}
+    assert names <= {file.name for file in folder.iterdir()}
+    text = (folder / "report.md").read_text(encoding="utf-8")
+    assert all(name in text for name in names - {"report.md"})
