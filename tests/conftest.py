@@ -2,8 +2,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from armsight_operator.stack import Stack
 
+from armsight_operator.stack import Stack
 from rig import Rig
 
 MakeRig = Callable[..., Rig]

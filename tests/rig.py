@@ -9,19 +9,20 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
+from google.protobuf.message import Message
+
 from armsight import topics
 from armsight.bus import Bus, Received, Subscriber
 from armsight.session import SessionConfig, open_session
 from armsight.times import NS_PER_S, from_timestamp, to_duration, to_timestamp
-from armsight.v1.control_pb2 import ControlMode, ControlState, ControlStatus, SetModeRequest
+from armsight.v1.control_pb2 import ControlState, ControlStatus, SetModeRequest
 from armsight.v1.health_pb2 import HEALTH_STATUS_OK, Health
 from armsight.v1.joints_pb2 import JointCommand, JointSetpoint
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest
 from armsight.v1.sim_pb2 import ResetRequest
 from armsight_operator.stack import Stack
-from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
-from google.protobuf.message import Message
 
 Vector = npt.NDArray[np.float64]
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
@@ -86,7 +87,7 @@ class Rig:
 
     def close(self) -> None:
         if self._bus is not None:
-            self._bus.session.close()
+            self._bus.session.close()  # type: ignore[no-untyped-call]
         self.stack.close()
 
     # waiting
@@ -154,7 +155,7 @@ class Rig:
 
     def mode(self, name: str, joints: Sequence[float] = (), start_s: float = 0.0) -> None:
         request = SetModeRequest(
-            mode=ControlMode.Value(f"CONTROL_MODE_{name.upper().replace('-', '_')}"),
+            mode=f"CONTROL_MODE_{name.upper().replace('-', '_')}",
             joints=[JointSetpoint(name=j, position_rad=q) for j, q in zip(JOINTS, joints, strict=False)],
             start_s=start_s,
         )
@@ -253,7 +254,7 @@ class Rig:
         return len(captured) / seconds, len(captured & answered) / len(captured)
 
     def record_from_the_start(self, instants: int) -> dict[str, list[bytes]]:
-        """Starts everything, sim last; the first messages by key, in order of their instants, without wall-clock times."""
+        """Starts everything, sim last; the first messages by key, by instant, without wall-clock times."""
         for name in ("router", "vision", "control"):
             self.start(name)
         kept: dict[str, dict[int, bytes]] = {topic.key: {} for topic in _RECORDED}

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+
 from armsight.topics import TOPICS, Topic, encoding_of
 from armsight_operator.stack import Stack
-
 from rig import JOINTS, Rig
 
 SEED = 20240607

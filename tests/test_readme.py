@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from armsight_operator.stack import Stack, free_port
 
+from armsight_operator.stack import Stack, free_port
 from rig import Rig
 
 ROOT = Path(__file__).parents[1]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from armsight_operator.stack.executables import find_executable
 
 SEED = 90125  # of the random poses; used nowhere in development
@@ -14,8 +15,8 @@ SEED = 90125  # of the random poses; used nowhere in development
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("report")
-    command = [find_executable("router"), "report", "--quick", "--poses", "40", "--seed", str(SEED), "--out", out]
-    subprocess.run(command, check=True, timeout=200)
+    flags = ["--quick", "--poses", "40", "--seed", str(SEED), "--out", str(out)]
+    subprocess.run([str(find_executable("router")), "report", *flags], check=True, timeout=200)
     return out
 
 
