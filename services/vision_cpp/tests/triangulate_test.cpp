@@ -1,0 +1,141 @@
+#include "armsight/vision/triangulate.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <cmath>
+#include <numbers>
+#include <random>
+
+#include "scene.hpp"
+
+namespace armsight::vision {
+namespace {
+
+std::vector<EdgePoint> outline(const Camera& camera, const Eigen::Vector3d& centre_world, double radius, int count,
+                               double sigma_px, std::mt19937& generator) {
+    const Eigen::Vector3d centre = camera.T_world_camera.inverse() * centre_world;
+    const Eigen::Vector3d axis = centre.normalized();
+    const double half_angle = std::asin(radius / centre.norm());
+    const Eigen::Vector3d a = axis.unitOrthogonal();
+    const Eigen::Vector3d b = axis.cross(a);
+    std::normal_distribution<double> noise(0.0, sigma_px);
+    std::vector<EdgePoint> points;
+    for (int i = 0; i < count; ++i) {
+        const double t = 2.0 * std::numbers::pi * i / count;
+        const double ppr = pixels_per_radian(camera, axis);
+        const double angle = half_angle + (sigma_px > 0.0 ? noise(generator) / ppr : 0.0);
+        points.push_back({.ray = std::cos(angle) * axis + std::sin(angle) * (std::cos(t) * a + std::sin(t) * b),
+                          .pixels_per_radian = ppr});
+    }
+    return points;
+}
+
+View view(const Camera& camera, const std::vector<EdgePoint>& points) {
+    return {.camera = &camera,
+            .outline = points,
+            .centre = Eigen::Vector3d::UnitZ(),
+            .centre_sigma_px = 0.0,
+            .centre_pixels_per_radian = 1.0};
+}
+
+TEST(Triangulate, RaysThatMeetGiveTheirPoint) {
+    const Eigen::Vector3d point(1.0, -2.0, 5.0);
+    std::vector<Ray> rays;
+    for (const Eigen::Vector3d& eye :
+         {Eigen::Vector3d(18, 0, 6), Eigen::Vector3d(0, -18, 6), Eigen::Vector3d(9, 9, 12)}) {
+        rays.push_back({.origin = eye, .direction = (point - eye).normalized()});
+        if (rays.size() < 2) continue;
+        const auto found = triangulate(rays);
+        ASSERT_TRUE(found);
+        EXPECT_NEAR((*found - point).norm(), 0.0, 1e-12);
+    }
+}
+
+TEST(Triangulate, ParallelRaysAndPointsBehindACameraGiveNothing) {
+    const Ray ray{.origin = {0, 0, 0}, .direction = {0, 0, 1}};
+    EXPECT_FALSE(triangulate(std::vector<Ray>{ray}));
+    EXPECT_FALSE(triangulate(std::vector<Ray>{ray, {.origin = {1, 0, 0}, .direction = {0, 0, 1}}}));
+    const Eigen::Vector3d diverging = Eigen::Vector3d(1, 0, 1).normalized();
+    EXPECT_FALSE(triangulate(std::vector<Ray>{ray, {.origin = {1, 0, 0}, .direction = diverging}}));
+}
+
+TEST(FitSphere, ExactOutlinesGiveTheExactCentre) {
+    const Camera front = testing::front_camera();
+    const Camera side = testing::side_camera();
+    const Eigen::Vector3d centre(2.0, 1.5, 7.0);
+    std::mt19937 generator(1);
+    const auto a = outline(front, centre, 0.4, 30, 0.0, generator);
+    const auto b = outline(side, centre, 0.4, 30, 0.0, generator);
+    const std::vector<View> views{view(front, a), view(side, b)};
+    const auto fix = fit_sphere(views, 0.4, centre + Eigen::Vector3d(0.05, -0.05, 0.05));
+    ASSERT_TRUE(fix);
+    EXPECT_NEAR((fix->position - centre).norm(), 0.0, 1e-8);
+    EXPECT_EQ(fix->inliers, 60);
+}
+
+TEST(FitSphere, OneViewTellsItsDepthByTheRadius) {
+    const Camera front = testing::front_camera();
+    const Eigen::Vector3d centre(0.0, 1.0, 6.5);
+    std::mt19937 generator(1);
+    const auto points = outline(front, centre, 0.6, 40, 0.0, generator);
+    const std::vector<View> views{view(front, points)};
+    const auto fix = fit_sphere(views, 0.6, centre + Eigen::Vector3d(0.5, 0.0, 0.0));
+    ASSERT_TRUE(fix);
+    EXPECT_NEAR((fix->position - centre).norm(), 0.0, 1e-6);
+    // weak along the line of sight (x), strong across it
+    EXPECT_GT(fix->covariance(0, 0), 100.0 * fix->covariance(1, 1));
+}
+
+TEST(FitSphere, CovarianceIsThatOfRepeatedNoise) {
+    const Camera front = testing::front_camera();
+    const Camera side = testing::side_camera();
+    const Eigen::Vector3d centre(-1.0, 0.5, 5.0);
+    std::mt19937 generator(17);
+    Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+    Eigen::Matrix3d told = Eigen::Matrix3d::Zero();
+    constexpr int kRuns = 400;
+    for (int i = 0; i < kRuns; ++i) {
+        const auto a = outline(front, centre, 0.4, 40, 0.15, generator);
+        const auto b = outline(side, centre, 0.4, 40, 0.15, generator);
+        const std::vector<View> views{view(front, a), view(side, b)};
+        const auto fix = fit_sphere(views, 0.4, centre);
+        ASSERT_TRUE(fix);
+        const Eigen::Vector3d error = fix->position - centre;
+        scatter += error * error.transpose() / kRuns;
+        told += fix->covariance / kRuns;
+    }
+    // told is for errors that go together along the outline, three times the variance of these independent ones
+    for (int axis = 0; axis < 3; ++axis) {
+        EXPECT_GT(told(axis, axis), 1.5 * scatter(axis, axis));
+        EXPECT_LT(told(axis, axis), 6.0 * scatter(axis, axis));
+    }
+}
+
+TEST(FitSphere, WildEdgePointsMoveItLittle) {
+    const Camera front = testing::front_camera();
+    const Camera side = testing::side_camera();
+    const Eigen::Vector3d centre(2.0, 1.5, 7.0);
+    std::mt19937 generator(3);
+    auto a = outline(front, centre, 0.4, 30, 0.05, generator);
+    const auto b = outline(side, centre, 0.4, 30, 0.05, generator);
+    for (std::size_t i = 0; i < 6; ++i) a[i].ray = (a[i].ray + Eigen::Vector3d(0.005, 0.004, 0.0)).normalized();
+    const std::vector<View> views{view(front, a), view(side, b)};
+    const auto fix = fit_sphere(views, 0.4, centre);
+    ASSERT_TRUE(fix);
+    EXPECT_LT((fix->position - centre).norm(), 0.003);
+}
+
+TEST(FitSphere, NothingDeterminedGivesNothing) {
+    const Camera front = testing::front_camera();
+    const std::vector<View> none{view(front, {})};
+    EXPECT_FALSE(fit_sphere(none, 0.4, {0.0, 0.0, 5.0}));
+    std::mt19937 generator(3);
+    const auto points = outline(front, {0.0, 0.0, 6.0}, 0.4, 30, 0.0, generator);
+    const std::vector<View> behind{view(front, points)};
+    EXPECT_FALSE(fit_sphere(behind, 0.4, {40.0, 0.0, 6.0})) << "a start behind the camera";
+}
+
+}  // namespace
+}  // namespace armsight::vision
