@@ -3,9 +3,10 @@
 import logging
 import sys
 
-from armsight.errors import ArmsightError
+from armsight.errors import ArmsightError, ConfigError
 from armsight.service import EXIT_CONFIG, Context, run_service
 from armsight.v1.health_pb2 import HEALTH_STATUS_WAITING
+from armsight_sim.errors import PoseError
 from armsight_sim.gl import choose_gl
 from armsight_sim.settings import argument_parser, parse_settings
 
@@ -18,6 +19,8 @@ def main() -> int:
     try:
         settings = parse_settings(arguments)
         gl = "" if arguments.health else choose_gl()
+        if gl and settings.pose:
+            check_pose(settings.pose)
     except ArmsightError as error:
         print(f"sim: {error}", file=sys.stderr)
         return EXIT_CONFIG
@@ -30,6 +33,23 @@ def main() -> int:
         Simulation(context, settings).run()
 
     return run_service("sim", arguments, settings, body, shared_memory="publish")
+
+
+def check_pose(pose: tuple[float, ...]) -> None:
+    """Refuses a start pose that the arm can't take, before anything is on the bus.
+
+    Raises:
+        ConfigError: as many angles as joints are needed, each within its limits.
+    """
+    from armsight_sim.world import World, load_model  # imports MuJoCo: not before choose_gl
+
+    world = World(load_model(), 1.0)
+    if len(pose) != len(world.joint_names):
+        raise ConfigError(f"--pose has {len(pose)} angles; this arm has {', '.join(world.joint_names)}")
+    try:
+        world.within_limits(pose)
+    except PoseError as error:
+        raise ConfigError(f"--pose: {error}") from error
 
 
 if __name__ == "__main__":

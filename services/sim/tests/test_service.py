@@ -1,0 +1,150 @@
+"""The process on a private bus."""
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armsight import topics
+from armsight.bus import Bus, open_bus
+from armsight.errors import RefusedError
+from armsight.session import SessionConfig, open_session
+from armsight.times import from_timestamp, to_duration
+from armsight.v1.joints_pb2 import JointCommand, JointSetpoint
+from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest
+from armsight.v1.sim_pb2 import ResetRequest
+
+EXECUTABLE = Path(sys.executable).parent / "armsight-sim"
+START_NS = 1_714_564_800_000_000_000
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> Iterator[str]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    router = open_session(
+        SessionConfig(mode="router", endpoints=(endpoint,), namespace="", shared_memory="off"), threading.Event()
+    )
+    assert router is not None
+    with router:
+        yield endpoint
+
+
+@pytest.fixture
+def bus(endpoint: str) -> Iterator[Bus]:
+    session = open_session(SessionConfig(endpoints=(endpoint,), shared_memory="off"), threading.Event())
+    assert session is not None
+    with open_bus(session) as bus:
+        yield bus
+
+
+@pytest.fixture
+def sim(endpoint: str) -> Iterator[Callable[..., "subprocess.Popen[bytes]"]]:
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(*flags: str) -> "subprocess.Popen[bytes]":
+        small = ("--width", "160", "--height", "160", "--start-time", str(START_NS))
+        process = subprocess.Popen([EXECUTABLE, "--connect", endpoint, *small, *flags])
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def answer(capture_ns: int, angle: float) -> JointCommand:
+    joints = [JointSetpoint(name=f"joint{i}", position_rad=angle if i == 1 else 0.0) for i in range(1, 5)]
+    command = JointCommand(valid_for=to_duration(0.1), joints=joints)
+    command.answers.FromNanoseconds(capture_ns)
+    return command
+
+
+def taken(subscriber: Any) -> Any:
+    received = subscriber.recv(15.0)
+    assert received is not None
+    return received.message
+
+
+def test_frames_of_an_instant_share_its_time_and_lockstep_waits_for_the_answer(
+    bus: Bus, sim: Callable[..., object]
+) -> None:
+    images = bus.subscriber(topics.CAMERA_IMAGE, "*", keep=8)
+    commands = bus.publisher(topics.JOINT_COMMAND)
+    sim("--clock", "lockstep")
+    first = {taken(images).frame_id: None for _ in range(2)}
+    assert set(first) == {"camera_1_optical", "camera_2_optical"}
+    assert images.recv(0.5) is None, "it went on without an answer"
+    command = JointCommand(hold=True, valid_for=to_duration(0.1))
+    command.answers.FromNanoseconds(START_NS)
+    commands.put(command)
+    stamps = {from_timestamp(taken(images).timestamp) for _ in range(2)}
+    assert stamps == {START_NS + 33_333_333}
+
+
+def test_late_reader_gets_description_cameras_setpoint_and_stop(bus: Bus, sim: Callable[..., object]) -> None:
+    clock = bus.subscriber(topics.CLOCK)
+    sim()
+    taken(clock)
+    assert len(taken(bus.subscriber(topics.DESCRIPTION)).markers) == 4
+    assert taken(bus.subscriber(topics.CAMERA_CALIBRATION, "2")).width == 160
+    assert taken(bus.subscriber(topics.CAMERA_POSE, "1")).parent_frame_id == "world"
+    assert [joint.position for joint in taken(bus.subscriber(topics.JOINTS_ACCEPTED)).joints] == [0, 0, 0, 0]
+    assert not taken(bus.subscriber(topics.STOP_STATE)).stopped
+
+
+def test_reset_shows_the_pose_from_the_instant_it_names(bus: Bus, sim: Callable[..., object]) -> None:
+    true = bus.subscriber(topics.JOINTS_TRUE, keep=100)
+    sim()
+    taken(true)
+    request = ResetRequest(joints=[JointSetpoint(name="joint3", position_rad=0.4)])
+    first_ns = from_timestamp(bus.query(topics.RESET, request).capture_time)
+    while from_timestamp((message := taken(true)).timestamp) < first_ns:
+        assert message.joints[2].position == pytest.approx(0.0, abs=1e-6)
+    assert from_timestamp(message.timestamp) == first_ns
+    assert message.joints[2].position == pytest.approx(0.4, abs=1e-6)
+    with pytest.raises(RefusedError, match="joint2"):
+        bus.query(topics.RESET, ResetRequest(joints=[JointSetpoint(name="joint2", position_rad=3.0)]))
+    with pytest.raises(RefusedError, match="elbow"):
+        bus.query(topics.RESET, ResetRequest(joints=[JointSetpoint(name="elbow", position_rad=0.0)]))
+
+
+def test_stopped_arm_refuses_motion_until_released(bus: Bus, sim: Callable[..., object]) -> None:
+    true = bus.subscriber(topics.JOINTS_TRUE)
+    health = bus.subscriber(topics.HEALTH, "sim")
+    commands = bus.publisher(topics.JOINT_COMMAND)
+    sim()
+    taken(true)
+    bus.query(topics.STOP, StopRequest(action=STOP_ACTION_STOP, source="test"))
+
+    def push(seconds: float) -> float:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            message = taken(true)
+            commands.put(answer(from_timestamp(message.timestamp), 0.3))
+        return float(message.joints[0].position)
+
+    assert abs(push(0.7)) < 1e-9
+    health.clear()
+    assert taken(health).counters["command_refused_stopped"] > 5
+    bus.query(topics.STOP, StopRequest(action=STOP_ACTION_RELEASE, source="test"))
+    assert push(1.0) > 0.2
+
+
+def test_sigterm_ends_it_within_two_seconds(bus: Bus, sim: Callable[..., "subprocess.Popen[bytes]"]) -> None:
+    clock = bus.subscriber(topics.CLOCK)
+    process = sim("--clock", "lockstep")
+    taken(clock)
+    begun = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(timeout=5) == 0
+    assert time.monotonic() - begun < 2.0
