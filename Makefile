@@ -61,9 +61,14 @@ bench: bench-vision bench-ik bench-loop  ## every benchmark; results in bench/re
 bench-vision bench-ik bench-loop: setup
 	$(BIN)/python bench/$(subst -,_,$(@:bench-%=%))_bench.py
 
+# Our own packages are installed from their folders; what torch's default build brings for GPUs is left to torch, so that
+# TORCH=cpu need not install it.
 lock: $(BIN)/uv  ## pin the Python dependencies anew
+	printf '%s\n' ./proto | cat requirements.in - >.lock.in
 	$(BIN)/uv pip compile --system-certs --quiet --no-header --no-emit-index-url --no-annotate --python-version 3.11 \
-	    --output-file requirements.txt requirements.in $(PYTHON_PACKAGES:=/pyproject.toml)
+	    --no-emit-package armsight .lock.in $(PYTHON_PACKAGES:=/pyproject.toml) \
+	    | grep -vE '^(nvidia-|cuda-|triton|armsight)' >requirements.txt
+	rm .lock.in
 
 clean:  ## remove what setup and the tests made
 	rm -rf $(VENV) build armsight-out

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "armsight/vision/frame.hpp"
 
@@ -21,7 +22,7 @@ bool has_distortion(const Camera& camera) {
 
 bool is_usable(const Camera& camera) {
     const auto sane_side = [](int side) {
-        return side >= static_cast<int>(kMinImageSide) && side <= static_cast<int>(kMaxImageSide);
+        return std::cmp_greater_equal(side, kMinImageSide) && std::cmp_less_equal(side, kMaxImageSide);
     };
     return sane_side(camera.width) && sane_side(camera.height) && camera.K.allFinite() && camera.K(0, 0) > 0.0 &&
            camera.K(1, 1) > 0.0 && std::ranges::all_of(camera.distortion, [](double k) { return std::isfinite(k); }) &&

@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <limits>
 #include <numbers>
 #include <stdexcept>
@@ -65,7 +66,7 @@ bool block_is_neutral(const std::uint8_t* p) {
     for (std::size_t i = 0; i + 1 < kMask.size(); ++i) {
         const std::uint8_t high = std::max(p[i], p[i + 1]);
         const std::uint8_t low = std::min(p[i], p[i + 1]);
-        const auto difference = static_cast<std::uint8_t>((high - low) & kMask[i]);
+        const auto difference = static_cast<std::uint8_t>(static_cast<unsigned>(high - low) & kMask[i]);
         largest = std::max(largest, difference);
     }
     return largest <= kNeutralDifference;
@@ -82,7 +83,8 @@ class Scanner {
             const std::uint8_t* row = image_.row(y);
             int x = 0;
             for (; x + kBlock <= image_.width; x += kBlock) {
-                if (!block_is_neutral<PixelSize>(row + x * PixelSize)) scan_pixels<PixelSize>(row, y, x, x + kBlock);
+                if (!block_is_neutral<PixelSize>(row + std::ptrdiff_t{x} * PixelSize))
+                    scan_pixels<PixelSize>(row, y, x, x + kBlock);
             }
             scan_pixels<PixelSize>(row, y, x, image_.width);
         }
@@ -92,7 +94,7 @@ class Scanner {
     template <int PixelSize>
     void scan_pixels(const std::uint8_t* row, int y, int begin, int end) {
         for (int x = begin; x < end; ++x) {
-            const std::uint8_t* p = row + x * PixelSize;
+            const std::uint8_t* p = row + std::ptrdiff_t{x} * PixelSize;
             const int red = p[layout_.red];
             const int green = p[layout_.green];
             const int blue = p[layout_.blue];
@@ -122,7 +124,7 @@ class Scanner {
 
 int root_of(std::vector<Run>& runs, int run) {
     // `component` holds the parent run until components are numbered; path halving keeps it short
-    auto parent = [&](int i) -> int& { return runs[static_cast<std::size_t>(i)].component; };
+    const auto parent = [&](int i) -> int& { return runs[static_cast<std::size_t>(i)].component; };
     while (parent(run) != run) {
         parent(run) = parent(parent(run));
         run = parent(run);

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <utility>
 
 namespace armsight::vision {
 namespace {
@@ -108,13 +109,13 @@ bool is_better(const Cone& a, const Cone& b) {
 }  // namespace
 
 std::optional<Cone> fit_cone(std::span<const EdgePoint> points, const ConeOptions& options) {
-    if (points.size() < 3 || points.size() < static_cast<std::size_t>(options.min_inliers)) return std::nullopt;
+    if (points.size() < 3 || std::cmp_less(points.size(), options.min_inliers)) return std::nullopt;
     const Frame frame(points);
 
     std::optional<Cone> best = solve(points, frame, nullptr, 0.0);
     if (best) score(*best, points, options.tolerance_px);
     Lottery lottery;
-    const bool all_agree = best && best->inliers == static_cast<int>(points.size());
+    const bool all_agree = best && std::cmp_equal(best->inliers, points.size());
     for (int i = 0; i < kHypotheses && !all_agree; ++i) {
         Eigen::Matrix3d rows;
         for (int k = 0; k < 3; ++k) rows.row(k) = frame.row(points[lottery.draw(points.size())].ray);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 
 namespace armsight::vision {
 namespace {
@@ -69,7 +70,7 @@ class EdgeFinder {
     [[nodiscard]] bool inside(int x, int y) const { return x >= 0 && y >= 0 && x < image_.width && y < image_.height; }
 
     [[nodiscard]] Eigen::Vector3d pixel(int x, int y) const {
-        const std::uint8_t* p = image_.row(y) + x * layout_.size;
+        const std::uint8_t* p = image_.row(y) + std::ptrdiff_t{x} * layout_.size;
         return {static_cast<double>(p[layout_.red]), static_cast<double>(p[layout_.green]),
                 static_cast<double>(p[layout_.blue])};
     }

@@ -155,6 +155,7 @@ std::vector<View> Pipeline::State::views() const {
 // Where to start the fit: rays of two views, else one ray and the distance that radius and last state tell.
 std::optional<Eigen::Vector3d> Pipeline::State::first_position(std::size_t marker, std::int64_t capture_ns) const {
     std::vector<Ray> rays;
+    rays.reserve(sightings.size());
     for (const Sighting& s : sightings) rays.push_back(world_ray(*frames[s.frame].camera, s.centre));
     if (auto point = triangulate(rays)) return point;
     const auto prior = tracks[marker].predict(capture_ns);
@@ -178,7 +179,7 @@ std::optional<Fix> Pipeline::State::fit(std::size_t marker, const Eigen::Vector3
         const Eigen::Matrix3d covariance = alone->covariance + prior->covariance;
         if (apart.dot(covariance.inverse() * apart) > kMaxPriorDistance * kMaxPriorDistance) return alone;
     }
-    auto together = fit_sphere(views(), radius, start, prior);
+    const auto together = fit_sphere(views(), radius, start, prior);
     return together ? together : alone;
 }
 
@@ -187,7 +188,7 @@ Observation Pipeline::State::observe(const Sighting& sighting, double radius_m, 
     const Disc disc = disc_of(camera, position, radius_m);
     const auto own = sighting.cone ? project(camera, sighting.cone->axis) : std::nullopt;
     const Eigen::Vector2d centre = own.value_or(sighting.outline.centroid);
-    const double area = static_cast<double>(sighting.outline.area);
+    const auto area = static_cast<double>(sighting.outline.area);
     const double whole = std::numbers::pi * std::max(disc.radius * disc.radius, 1.0);
     return {.camera = camera.name,
             .u = centre.x() - kWireToImage,

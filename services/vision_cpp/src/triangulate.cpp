@@ -46,11 +46,11 @@ struct Sight {
     double distance;
     double half_angle;
 
-    Sight(const Camera& camera, const Eigen::Vector3d& position, double radius) {
-        const Eigen::Vector3d c = camera.T_world_camera.inverse() * position;
-        distance = c.norm();
-        axis = c / distance;
-        half_angle = distance > radius ? std::asin(radius / distance) : 0.0;
+    Sight(const Camera& camera, const Eigen::Vector3d& position, double radius)
+        : axis(camera.T_world_camera.inverse() * position),
+          distance(axis.norm()),
+          half_angle(distance > radius ? std::asin(radius / distance) : 0.0) {
+        axis /= distance;
     }
     [[nodiscard]] bool is_valid(double radius) const { return distance > 1.001 * radius && axis.z() > 0.0; }
 };
@@ -115,7 +115,7 @@ std::optional<Eigen::Vector3d> triangulate(std::span<const Ray> rays) {
     const Eigen::LDLT<Eigen::Matrix3d> factor(A);
     // the smallest eigenvalue is about sin^2 of the angle between the rays
     if (rays.size() < 2 || !(A.determinant() > 1e-6)) return std::nullopt;
-    const Eigen::Vector3d point = factor.solve(b);
+    Eigen::Vector3d point = factor.solve(b);
     if (!point.allFinite()) return std::nullopt;
     for (const Ray& ray : rays) {
         if (ray.direction.dot(point - ray.origin) <= 0.0) return std::nullopt;

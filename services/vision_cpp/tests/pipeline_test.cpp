@@ -18,7 +18,7 @@ constexpr std::int64_t kFrame = 33'333'333;
 // The arm's markers at a pose, without links.
 Scene arm() {
     Scene scene;
-    const Eigen::Vector3d centres[] = {{0.0, 0.0, 0.85}, {0.1, 0.2, 4.8}, {1.4, -0.9, 7.1}, {3.1, 1.1, 8.0}};
+    const std::vector<Eigen::Vector3d> centres{{0.0, 0.0, 0.85}, {0.1, 0.2, 4.8}, {1.4, -0.9, 7.1}, {3.1, 1.1, 8.0}};
     const auto markers = testing::arm_markers();
     for (std::size_t i = 0; i < markers.size(); ++i) {
         scene.spheres.push_back({centres[i], markers[i].radius, markers[i].color});
@@ -32,6 +32,7 @@ struct Rig {
 
     std::vector<MarkerEstimate> process(const std::vector<Picture>& pictures, std::int64_t capture_ns) {
         std::vector<CameraFrame> frames;
+        frames.reserve(pictures.size());
         for (std::size_t i = 0; i < pictures.size(); ++i) {
             frames.push_back({.camera = &cameras[i], .image = pictures[i].view()});
         }

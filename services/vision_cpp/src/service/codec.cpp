@@ -19,8 +19,8 @@ namespace {
 constexpr std::int64_t kNsPerS = 1'000'000'000;
 // Year 2262 is where nanoseconds leave 64 bits.
 constexpr std::int64_t kMaxSeconds = std::numeric_limits<std::int64_t>::max() / kNsPerS - 1;
-constexpr std::size_t kMaxMarkers = 64;
-constexpr std::size_t kMaxCameras = 16;
+constexpr int kMaxMarkers = 64;
+constexpr int kMaxCameras = 16;
 constexpr double kMaxMetres = 1e4;  // farther than any camera of this use sees
 
 enum class WireType : std::uint32_t { Varint = 0, Fixed64 = 1, Length = 2, Fixed32 = 5 };
@@ -183,8 +183,7 @@ Description decode_description(Bytes payload) {
     const auto message = parse<v1::ArmDescription>(payload);
     Description result;
     if (message.markers().empty()) throw MalformedMessage("a description without markers");
-    if (static_cast<std::size_t>(message.markers_size()) > kMaxMarkers ||
-        static_cast<std::size_t>(message.cameras_size()) > kMaxCameras) {
+    if (message.markers_size() > kMaxMarkers || message.cameras_size() > kMaxCameras) {
         throw MalformedMessage("a description with more than 64 markers or 16 cameras");
     }
     for (const auto& marker : message.markers()) {

@@ -20,6 +20,8 @@ class HealthReporter {
     ~HealthReporter();
     HealthReporter(const HealthReporter&) = delete;
     HealthReporter& operator=(const HealthReporter&) = delete;
+    HealthReporter(HealthReporter&&) = delete;
+    HealthReporter& operator=(HealthReporter&&) = delete;
 
     /// Sets the status and one line that says what is wrong and what to do.
     void report(v1::HealthStatus status, const std::string& detail = "");

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <condition_variable>
+#include <iostream>
 #include <list>
 #include <map>
 #include <memory>
@@ -169,7 +170,7 @@ void Service::take_image(const std::string& camera, zenoh::Sample sample) {
     const auto owner = std::make_shared<const zenoh::Sample>(std::move(sample));
     const ImageMessage message = decode_image(owner->get_payload());
     auto checked = validate_image(message.data, message.width, message.height, message.step, message.encoding);
-    if (auto* image = std::get_if<ImageView>(&checked)) {
+    if (const auto* image = std::get_if<ImageView>(&checked)) {
         const auto size = rig_.size_of(camera);
         if (size && *size != std::pair{image->width, image->height}) {
             checked = Refusal{.counter = "image_refused_calibration",
@@ -207,6 +208,7 @@ void Service::rebuild() {
     problem_ = rig_.missing();
     if (!problem_.empty()) return;
     const auto description = rig_.description();
+    if (!description) return;
     auto cameras = rig_.cameras();
     for (const Camera& camera : cameras) {
         if (!is_usable(camera)) problem_ = "the calibration of camera " + camera.name + " cannot be used";
@@ -247,6 +249,7 @@ void Service::rebuild() {
 }
 
 void Service::answer(const Instant& instant) {
+    if (!pipeline_) return;
     const auto begun = steady_clock::now();
     std::vector<CameraFrame> frames;
     Stages stages{.frames_sent_ns = 0, .received_ns = 0, .sent_ns = 0};
@@ -297,8 +300,10 @@ void Service::report_health(SteadyTime now) {
     std::vector<std::string> gone;
     {
         const std::scoped_lock lock(mutex_);
-        gone = pairing_->gone();
-        health_.gauge("frames_unpaired", static_cast<double>(pairing_->dropped()));
+        if (pairing_) {
+            gone = pairing_->gone();
+            health_.gauge("frames_unpaired", static_cast<double>(pairing_->dropped()));
+        }
     }
     if (gone.empty()) {
         health_.report(v1::HEALTH_STATUS_OK);
@@ -360,7 +365,7 @@ int probe(const Settings& settings) {
     } catch (const ConfigError&) {
         throw;
     } catch (const std::exception& error) {
-        std::fprintf(stderr, "vision: %s\n", error.what());
+        std::cerr << "vision: " << error.what() << '\n';
         return 1;
     }
     return 0;

@@ -61,7 +61,7 @@ struct MarkerMask {
 };
 
 /// Runs kept for one marker: a picture of nothing but noise must not take all memory. A real marker has one a row.
-inline constexpr std::size_t kMaxRuns = std::size_t{1} << 17;
+inline constexpr std::size_t kMaxRuns = 131'072;
 
 /// Fills one mask for each cone, in one pass over the pixels: background, links and base have no chroma and are left
 /// out. Sizes `masks` as the cones.

@@ -26,7 +26,7 @@ struct EdgePoint {
 /// Outline of one marker in one image.
 struct Outline {
     std::vector<EdgePoint> points;  ///< only where the marker meets a bright, neutral background
-    std::int64_t area;              ///< pixels of the marker's colour within the disc
+    std::int64_t area = 0;          ///< pixels of the marker's colour within the disc
     Eigen::Vector2d centroid;       ///< of these pixels, image coordinates
 };
 

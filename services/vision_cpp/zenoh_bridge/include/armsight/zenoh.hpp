@@ -145,7 +145,7 @@ class Queryable {
     rust::Box<ffi::Queryable> inner_;
 };
 
-using PublisherOptions = ffi::PublisherOptions;
+using ffi::PublisherOptions;
 
 struct SubscriberOptions {
     std::size_t capacity = 1;  ///< samples kept, the newest
@@ -157,16 +157,17 @@ class Session {
     /// Throws at once when nobody listens at the configuration's endpoints.
     static Session open(const Config& config) { return Session(ffi::open(config.json5())); }
 
-    Publisher declare_publisher(std::string_view key, std::string_view encoding, PublisherOptions options) const {
+    [[nodiscard]] Publisher declare_publisher(std::string_view key, std::string_view encoding,
+                                              PublisherOptions options) const {
         return Publisher(inner_->declare_publisher(detail::str(key), detail::str(encoding), options));
     }
-    Subscriber declare_subscriber(std::string_view key, SubscriberOptions options) const {
+    [[nodiscard]] Subscriber declare_subscriber(std::string_view key, SubscriberOptions options) const {
         return Subscriber(inner_->declare_subscriber(detail::str(key), options.capacity, options.latched));
     }
-    LivelinessToken declare_token(std::string_view key) const {
+    [[nodiscard]] LivelinessToken declare_token(std::string_view key) const {
         return LivelinessToken(inner_->declare_token(detail::str(key)));
     }
-    Queryable declare_queryable(std::string_view key) const {
+    [[nodiscard]] Queryable declare_queryable(std::string_view key) const {
         return Queryable(inner_->declare_queryable(detail::str(key)));
     }
     /// Asks and returns the first answer's payload. Throws with the text of a refusal, or when nobody answers in time.
