@@ -24,8 +24,10 @@ constexpr double kWholeVisible = 0.95;
 // A view whose edge points do not lie on the fitted outline saw something else.
 constexpr double kAgreementPx = 1.0;
 constexpr double kMinAgreement = 0.4;
-// Middle of a mask without a usable outline: uniform in the disc would be 0.5 radii.
-constexpr double kCentreSigmaRadii = 0.4;
+// Middle of a mask without a usable outline, in radii: exact but for shading where all of the disc is seen, nearly a
+// radius off where only a sliver of it is.
+constexpr double kCentreSigmaSeen = 0.05;
+constexpr double kCentreSigmaHidden = 0.8;
 constexpr int kMinInliersTracked = 8;
 constexpr double kMinCentreSigmaPx = 1.0;
 // One view agrees with the last state within this many standard deviations, or the last state is dropped (a reset).
@@ -45,6 +47,24 @@ struct Sighting {
     Eigen::Vector3d centre;  ///< unit ray to the middle of the disc, optical frame
     bool has_outline = false;
 };
+
+// One answer to where a marker is, and how far the views agree with it.
+struct Attempt {
+    Fix fix;
+    std::vector<Sighting> sightings;
+    std::size_t worst;  ///< view that agrees least
+    double agreement;   ///< of that view, 0 to 1
+    double surprise;    ///< m from the last state; 0 without one
+
+    [[nodiscard]] bool is_agreed() const { return agreement >= kMinAgreement; }
+};
+
+bool is_better(const Attempt& a, const Attempt& b) {
+    if (a.is_agreed() != b.is_agreed()) return a.is_agreed();
+    if (a.sightings.size() != b.sightings.size()) return a.sightings.size() > b.sightings.size();
+    if (a.surprise != b.surprise) return a.surprise < b.surprise;
+    return a.fix.inliers > b.fix.inliers;
+}
 
 Disc disc_of(const Camera& camera, const Eigen::Vector3d& axis, double half_angle, const Disc& otherwise) {
     const auto centre = project(camera, axis);
@@ -84,8 +104,14 @@ struct Pipeline::State {
     void look(std::size_t marker);
     void refine(std::size_t marker, const Eigen::Vector3d& position);
     [[nodiscard]] std::vector<View> views() const;
-    [[nodiscard]] std::optional<Eigen::Vector3d> first_position(std::size_t marker, std::int64_t capture_ns) const;
+    [[nodiscard]] std::vector<Eigen::Vector3d> starts(std::size_t marker, std::int64_t capture_ns) const;
     [[nodiscard]] std::optional<Fix> fit(std::size_t marker, const Eigen::Vector3d& start, std::int64_t capture_ns);
+    [[nodiscard]] std::optional<Attempt> settle(std::size_t marker, Eigen::Vector3d position, std::int64_t capture_ns);
+    [[nodiscard]] std::optional<Attempt> best_of(std::size_t marker, const std::vector<Sighting>& seen,
+                                                 std::int64_t capture_ns);
+    [[nodiscard]] std::optional<Attempt> without_one(std::size_t marker, const std::vector<Sighting>& seen,
+                                                     std::int64_t capture_ns);
+    [[nodiscard]] std::optional<Fix> locate(std::size_t marker, std::int64_t capture_ns);
     [[nodiscard]] Observation observe(const Sighting& sighting, double radius_m, const Eigen::Vector3d& position) const;
     [[nodiscard]] MarkerEstimate estimate(std::size_t marker, std::int64_t capture_ns);
 };
@@ -140,7 +166,10 @@ std::vector<View> Pipeline::State::views() const {
     std::vector<View> result;
     result.reserve(sightings.size());
     for (const Sighting& sighting : sightings) {
-        const double sigma = std::max(kMinCentreSigmaPx, kCentreSigmaRadii * sighting.disc.radius);
+        const double radius = sighting.disc.radius;
+        const double seen = static_cast<double>(sighting.outline.area) / (std::numbers::pi * radius * radius);
+        const double hidden = 1.0 - std::clamp(seen, 0.0, 1.0);
+        const double sigma = std::max(kMinCentreSigmaPx, (kCentreSigmaSeen + kCentreSigmaHidden * hidden) * radius);
         result.push_back(
             {.camera = frames[sighting.frame].camera,
              .outline = sighting.has_outline ? std::span<const EdgePoint>(sighting.outline.points)
@@ -152,20 +181,25 @@ std::vector<View> Pipeline::State::views() const {
     return result;
 }
 
-// Where to start the fit: rays of two views, else one ray and the distance that radius and last state tell.
-std::optional<Eigen::Vector3d> Pipeline::State::first_position(std::size_t marker, std::int64_t capture_ns) const {
+// Where to start the fit: where the rays of all views meet, and where each view alone puts the sphere. A view of which
+// an edge was mistaken for the sphere's outline spoils the first, but not what the others say by themselves.
+std::vector<Eigen::Vector3d> Pipeline::State::starts(std::size_t marker, std::int64_t capture_ns) const {
+    std::vector<Eigen::Vector3d> result;
     std::vector<Ray> rays;
     rays.reserve(sightings.size());
     for (const Sighting& s : sightings) rays.push_back(world_ray(*frames[s.frame].camera, s.centre));
-    if (auto point = triangulate(rays)) return point;
-    const auto prior = tracks[marker].predict(capture_ns);
-    if (sightings.empty()) return std::nullopt;
-    const Ray& first = rays.front();
-    const auto& cone = sightings.front().cone;
-    if (cone) return first.origin + markers[marker].radius / std::sin(cone->half_angle) * first.direction;
-    if (!prior) return std::nullopt;
-    const double along = std::max(first.direction.dot(prior->position - first.origin), 2.0 * markers[marker].radius);
-    return first.origin + along * first.direction;
+    if (const auto point = triangulate(rays)) result.push_back(*point);
+    for (std::size_t i = 0; i < sightings.size(); ++i) {
+        const auto& cone = sightings[i].cone;
+        if (!cone) continue;
+        result.emplace_back(rays[i].origin + markers[marker].radius / std::sin(cone->half_angle) * rays[i].direction);
+    }
+    if (const auto prior = tracks[marker].predict(capture_ns); prior && result.empty() && !rays.empty()) {
+        const Ray& ray = rays.front();
+        const double along = std::max(ray.direction.dot(prior->position - ray.origin), 2.0 * markers[marker].radius);
+        result.emplace_back(ray.origin + along * ray.direction);
+    }
+    return result;
 }
 
 std::optional<Fix> Pipeline::State::fit(std::size_t marker, const Eigen::Vector3d& start, std::int64_t capture_ns) {
@@ -198,40 +232,88 @@ Observation Pipeline::State::observe(const Sighting& sighting, double radius_m, 
             .visible = std::clamp(area / whole, 0.0, 1.0)};
 }
 
+// Looks where the marker would be, fits, and tells how far each view agrees with what comes out.
+std::optional<Attempt> Pipeline::State::settle(std::size_t marker, Eigen::Vector3d position, std::int64_t capture_ns) {
+    refine(marker, position);
+    if (sightings.empty()) return std::nullopt;
+    const auto fix = fit(marker, position, capture_ns);
+    if (!fix) return std::nullopt;
+    const auto prior = tracks[marker].predict(capture_ns);
+    Attempt result{.fix = *fix,
+                   .sightings = sightings,
+                   .worst = 0,
+                   .agreement = 1.0,
+                   .surprise = prior ? (fix->position - prior->position).norm() : 0.0};
+    const auto all = views();
+    for (std::size_t i = 0; i < all.size(); ++i) {
+        if (all[i].outline.empty()) continue;
+        const double share = agreement(all[i], markers[marker].radius, fix->position, kAgreementPx);
+        if (share < result.agreement) {
+            result.agreement = share;
+            result.worst = i;
+        }
+    }
+    return result;
+}
+
+// From every start, once with all that was seen at first and once with what is seen at the start itself: a larger patch
+// of the colour hides the marker from the first look, not from the second.
+std::optional<Attempt> Pipeline::State::best_of(std::size_t marker, const std::vector<Sighting>& seen,
+                                                std::int64_t capture_ns) {
+    sightings = seen;
+    std::optional<Attempt> best;
+    for (const Eigen::Vector3d& start : starts(marker, capture_ns)) {
+        for (const bool is_here : {false, true}) {
+            sightings = seen;
+            if (is_here) refine(marker, start);
+            if (sightings.empty()) continue;
+            const auto rough = fit(marker, start, capture_ns);
+            if (!rough) continue;
+            auto next = settle(marker, rough->position, capture_ns);
+            if (next && (!best || is_better(*next, *best))) best = std::move(next);
+            if (best && best->is_agreed() && best->sightings.size() == seen.size()) return best;
+        }
+    }
+    return best;
+}
+
+std::optional<Attempt> Pipeline::State::without_one(std::size_t marker, const std::vector<Sighting>& seen,
+                                                    std::int64_t capture_ns) {
+    std::optional<Attempt> best;
+    for (std::size_t left_out = 0; left_out < seen.size(); ++left_out) {
+        std::vector<Sighting> others = seen;
+        others.erase(others.begin() + static_cast<std::ptrdiff_t>(left_out));
+        auto next = best_of(marker, others, capture_ns);
+        if (next && (!best || is_better(*next, *best))) best = std::move(next);
+    }
+    return best;
+}
+
+// Leaves the sightings that belong to the answer.
+std::optional<Fix> Pipeline::State::locate(std::size_t marker, std::int64_t capture_ns) {
+    look(marker);
+    std::vector<Sighting> seen = sightings;
+    while (!seen.empty()) {
+        auto best = best_of(marker, seen, capture_ns);
+        if (!best || !best->is_agreed()) {
+            // one view, or more of them, saw something else
+            auto fewer = without_one(marker, seen, capture_ns);
+            if (fewer && (!best || is_better(*fewer, *best))) best = std::move(fewer);
+        }
+        if (!best) break;
+        sightings = std::move(best->sightings);
+        if (best->is_agreed()) return best->fix;
+        sightings.erase(sightings.begin() + static_cast<std::ptrdiff_t>(best->worst));
+        seen = sightings;
+    }
+    sightings.clear();
+    return std::nullopt;
+}
+
 MarkerEstimate Pipeline::State::estimate(std::size_t marker, std::int64_t capture_ns) {
     const MarkerModel& model = markers[marker];
     Track& track = tracks[marker];
-    look(marker);
-    std::optional<Fix> fix;
-    // each round may find that a view saw something else; at most all are dropped
-    for (std::size_t round = 0; round < frames.size() && !sightings.empty(); ++round) {
-        auto start = first_position(marker, capture_ns);
-        if (!start) break;
-        fix = fit(marker, *start, capture_ns);
-        if (!fix) break;
-        refine(marker, fix->position);
-        if (sightings.empty()) {
-            fix.reset();
-            break;
-        }
-        fix = fit(marker, fix->position, capture_ns);
-        if (!fix) break;
-        const auto all = views();
-        std::size_t worst = 0;
-        double least = 1.0;
-        for (std::size_t i = 0; i < all.size(); ++i) {
-            const double share =
-                all[i].outline.empty() ? 1.0 : agreement(all[i], model.radius, fix->position, kAgreementPx);
-            if (share < least) {
-                least = share;
-                worst = i;
-            }
-        }
-        if (least >= kMinAgreement) break;
-        sightings.erase(sightings.begin() + static_cast<std::ptrdiff_t>(worst));
-        fix.reset();
-    }
-
+    const std::optional<Fix> fix = locate(marker, capture_ns);
     MarkerEstimate result{.name = model.name,
                           .status = MarkerStatus::Lost,
                           .position = std::nullopt,

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <opencv2/imgproc.hpp>
@@ -99,6 +100,8 @@ TEST(Classify, ComponentsAreThoseOfOpenCv) {
             const int label = labels.at<int>(run.y, run.x0);
             EXPECT_EQ(component.area, stats.at<int>(label, cv::CC_STAT_AREA));
             EXPECT_EQ(component.x0, stats.at<int>(label, cv::CC_STAT_LEFT));
+            EXPECT_EQ(component.x1, stats.at<int>(label, cv::CC_STAT_LEFT) + stats.at<int>(label, cv::CC_STAT_WIDTH));
+            EXPECT_EQ(component.y0, stats.at<int>(label, cv::CC_STAT_TOP));
             EXPECT_EQ(component.y1, stats.at<int>(label, cv::CC_STAT_TOP) + stats.at<int>(label, cv::CC_STAT_HEIGHT));
             EXPECT_NEAR(component.centroid().x(), centroids.at<double>(label, 0) + 0.5, 1e-9);
             EXPECT_NEAR(component.centroid().y(), centroids.at<double>(label, 1) + 0.5, 1e-9);
@@ -151,6 +154,88 @@ TEST(Classify, MarkersThatCannotBeToldApartAreRefusedByName) {
                     {.name = "rust", .radius = 1.0, .color = {0.9, 0.05, 0.03}}},
                    "rust");
     expect_refused({{.name = "void", .radius = 1.0, .color = {0, 0, 0}}}, "void");
+}
+
+// Blocks without colour are skipped: one pixel of it must be found in every place of a block and in the rest of a row.
+TEST(Classify, OnePixelOfColourIsFoundWhereverItLies) {
+    const auto cones = color_cones(testing::arm_markers());
+    for (const PixelFormat format : {PixelFormat::Rgb8, PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8}) {
+        for (int x = 0; x < 101; ++x) {
+            Picture grey{.bytes = std::vector<std::uint8_t>(101 * 16 * 3, 10),
+                         .width = 101,
+                         .height = 16,
+                         .step = 303,
+                         .format = PixelFormat::Rgb8};
+            grey.bytes[static_cast<std::size_t>(7 * 303 + x * 3)] = 28;  // dark red, just above the least chroma
+            const Picture picture = testing::converted(grey, format, 5);
+            std::vector<MarkerMask> masks;
+            classify(picture.view(), cones, masks);
+            ASSERT_EQ(masks[3].runs.size(), 1U) << "x " << x << " format " << static_cast<int>(format);
+            EXPECT_EQ(masks[3].runs[0].x0, x);
+            EXPECT_EQ(masks[3].runs[0].x1, x + 1);
+            EXPECT_EQ(masks[3].runs[0].y, 7);
+            for (std::size_t other = 0; other < 3; ++other) EXPECT_TRUE(masks[other].runs.empty());
+        }
+    }
+}
+
+TEST(Classify, BetweenNeighbouringHuesTheNearerOneDecides) {
+    const std::vector<MarkerModel> markers{{.name = "red", .radius = 1.0, .color = {1.0, 0.0, 0.0}},
+                                           {.name = "orange", .radius = 1.0, .color = {1.0, 0.45, 0.0}}};
+    const auto cones = color_cones(markers);
+    const auto angle_to = [](const Eigen::Vector3d& color, const Eigen::Vector3d& pixel) {
+        const Eigen::Vector3d a = color.array() - color.mean();
+        const Eigen::Vector3d b = pixel.array() - pixel.mean();
+        return std::acos(std::clamp(a.normalized().dot(b.normalized()), -1.0, 1.0)) * 180.0 / std::numbers::pi;
+    };
+    int seen = 0;
+    for (int r = 0; r < 256; r += 5) {
+        for (int g = 0; g < 256; g += 5) {
+            for (int b = 0; b < 256; b += 5) {
+                const bool red = cones[0].contains(r, g, b);
+                const bool orange = cones[1].contains(r, g, b);
+                if (!red && !orange) continue;
+                ++seen;
+                const Eigen::Vector3d pixel(r, g, b);
+                const double nearer = angle_to(markers[1].color, pixel) - angle_to(markers[0].color, pixel);
+                if (std::abs(nearer) < 1.0) continue;  // whole numbers round the border by a fraction of a degree
+                ASSERT_NE(red, orange) << r << " " << g << " " << b;
+                ASSERT_EQ(red, nearer > 0.0) << r << " " << g << " " << b;
+            }
+        }
+    }
+    EXPECT_GT(seen, 1000);
+}
+
+TEST(Classify, PictureBeforeIsForgotten) {
+    const auto cones = color_cones(testing::arm_markers());
+    std::vector<MarkerMask> masks;
+    classify(colorful(3).view(), cones, masks);
+    const Picture grey{.bytes = std::vector<std::uint8_t>(64 * 32 * 3, 90),
+                       .width = 64,
+                       .height = 32,
+                       .step = 192,
+                       .format = PixelFormat::Rgb8};
+    classify(grey.view(), cones, masks);
+    for (const MarkerMask& mask : masks) {
+        EXPECT_TRUE(mask.runs.empty());
+        EXPECT_TRUE(mask.components.empty());
+    }
+}
+
+TEST(Classify, SpeckleDoesNotTakeAllMemory) {
+    Picture speckle{.bytes = std::vector<std::uint8_t>(1024 * 600 * 3, 60),
+                    .width = 1024,
+                    .height = 600,
+                    .step = 3072,
+                    .format = PixelFormat::Rgb8};
+    for (std::size_t i = 0; i < speckle.bytes.size(); i += 6) speckle.bytes[i] = 255;  // every second pixel red
+    std::vector<MarkerMask> masks;
+    classify(speckle.view(), color_cones(testing::arm_markers()), masks);
+    EXPECT_EQ(masks[3].runs.size(), kMaxRuns);
+    std::int64_t area = 0;
+    for (const Component& component : masks[3].components) area += component.area;
+    EXPECT_EQ(area, static_cast<std::int64_t>(kMaxRuns));
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <random>
@@ -98,6 +99,44 @@ TEST(Cone, SamePointsGiveTheSameBits) {
     ASSERT_TRUE(first && second);
     EXPECT_EQ(first->axis, second->axis);
     EXPECT_EQ(first->half_angle, second->half_angle);
+}
+
+TEST(Cone, TwoFifthsOfTheEdgesMayBelongToSomethingElse) {
+    const Eigen::Vector3d axis = Eigen::Vector3d(0.5, 0.2, 18.0).normalized();
+    for (unsigned seed = 100; seed < 150; ++seed) {
+        auto points = outline({0.5, 0.2, 18.0}, 0.6, 30);
+        add_noise(points, 0.05, seed);
+        std::mt19937 generator(seed);
+        std::uniform_real_distribution<double> anywhere(-0.03, 0.03);
+        for (int i = 0; i < 20; ++i) {
+            points.push_back(
+                {.ray = (axis + Eigen::Vector3d(anywhere(generator), anywhere(generator), 0.0)).normalized(),
+                 .pixels_per_radian = kFocal});
+        }
+        std::shuffle(points.begin(), points.end(), generator);
+        const auto cone = fit_cone(points);
+        ASSERT_TRUE(cone) << "seed " << seed;
+        // within its own tolerance: the outline may lean towards a stray point or two beside it
+        EXPECT_LT(std::acos(std::min(1.0, cone->axis.dot(axis))) * kFocal, ConeOptions{}.tolerance_px)
+            << "seed " << seed;
+        EXPECT_GE(cone->inliers, 30) << "seed " << seed;
+    }
+}
+
+TEST(Cone, AsksForAsManyInliersAsItIsTold) {
+    const auto points = outline({0.0, 1.0, 10.0}, 0.3, 12);
+    EXPECT_TRUE(fit_cone(points, {.min_inliers = 12}));
+    EXPECT_FALSE(fit_cone(points, {.min_inliers = 13}));
+}
+
+TEST(Cone, ResidualIsTheSpreadOfTheNoise) {
+    constexpr unsigned kSeed = 23;
+    auto points = outline({1.0, 1.0, 18.0}, 0.6, 400);
+    add_noise(points, 0.1, kSeed);
+    const auto cone = fit_cone(points);
+    ASSERT_TRUE(cone) << "seed " << kSeed;
+    EXPECT_NEAR(cone->residual_px, 0.1, 0.02) << "seed " << kSeed;
+    EXPECT_NEAR(cone->half_angle, std::asin(0.6 / Eigen::Vector3d(1, 1, 18).norm()), 0.03 / kFocal);
 }
 
 }  // namespace

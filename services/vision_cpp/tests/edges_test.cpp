@@ -76,5 +76,63 @@ TEST(Edges, MarkersAtTheBorderOfTheImageDoNotReadBeyondIt) {
     }
 }
 
+TEST(Edges, OutlineHasNoBiasWhereverItLiesBetweenThePixels) {
+    const Camera camera = testing::front_camera(400);
+    double bias = 0.0;
+    constexpr int kPlaces = 20;
+    for (int i = 0; i < kPlaces; ++i) {
+        // steps of 0.37 and 0.23 pixels
+        const Eigen::Vector3d centre(0.0, 0.2 + 0.028 * i, 6.1 + 0.0174 * i);
+        const testing::Scene scene{.spheres = {{centre, 0.6, {1.0, 0.0, 0.0}}}, .capsules = {}};
+        const Found found = find(scene, testing::draw(scene, camera, 8), camera);
+        EXPECT_LT(std::abs(found.middle_px), 0.05) << "place " << i;
+        bias += found.middle_px / kPlaces;
+    }
+    EXPECT_LT(std::abs(bias), 0.02);
+}
+
+TEST(Edges, DimLightDoesNotMoveTheOutline) {
+    const Camera camera = testing::front_camera();
+    const testing::Scene scene{
+        .spheres = {{{0.3, 1.7, 7.2}, 0.4, {0.35, 0.0, 0.0}}}, .capsules = {}, .background = 0.3};
+    const Found found = find(scene, testing::draw(scene, camera, 8), camera);
+    EXPECT_GT(found.outline.points.size(), 30U);
+    EXPECT_LT(found.worst_px, 0.2);
+    EXPECT_LT(std::abs(found.middle_px), 0.03);
+}
+
+TEST(Edges, BlackBackgroundGivesNoOutline) {
+    const Camera camera = testing::front_camera();
+    const testing::Scene scene{
+        .spheres = {{{0.3, 1.7, 7.2}, 0.4, {1.0, 0.0, 0.0}}}, .capsules = {}, .background = 0.05};
+    const Found found = find(scene, testing::draw(scene, camera, 4), camera);
+    EXPECT_TRUE(found.outline.points.empty());
+    EXPECT_GT(found.outline.area, 100) << "the patch itself is seen";
+}
+
+TEST(Edges, EdgesSharedWithAnotherMarkerAreLeftOut) {
+    const Camera camera = testing::front_camera();
+    testing::Scene scene{.spheres = {{{0.0, 0.0, 6.5}, 0.6, {1.0, 0.0, 0.0}}}, .capsules = {}};
+    const auto whole = find(scene, testing::draw(scene, camera, 6), camera).outline.points.size();
+    scene.spheres.push_back({{1.5, 0.5, 6.6}, 0.5, {0.0, 0.0, 1.0}});
+    const Found found = find(scene, testing::draw(scene, camera, 6), camera);
+    EXPECT_LT(found.outline.points.size(), whole);
+    EXPECT_GT(found.outline.points.size(), whole / 3);
+    EXPECT_LT(found.worst_px, 0.25) << "an edge of the blue marker was taken for the red one's";
+}
+
+TEST(Edges, OrderOfChannelsMakesNoDifference) {
+    const Camera camera = testing::front_camera(400);
+    const testing::Scene scene{.spheres = {{{0.3, 1.7, 7.2}, 0.6, {1.0, 0.0, 0.0}}}, .capsules = {}};
+    const testing::Picture picture = testing::draw(scene, camera, 4);
+    const auto expected = find(scene, picture, camera).outline.points;
+    ASSERT_GT(expected.size(), 20U);
+    for (const PixelFormat format : {PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8}) {
+        const auto points = find(scene, testing::converted(picture, format, 3), camera).outline.points;
+        ASSERT_EQ(points.size(), expected.size());
+        for (std::size_t i = 0; i < points.size(); ++i) EXPECT_NEAR((points[i].ray - expected[i].ray).norm(), 0, 1e-12);
+    }
+}
+
 }  // namespace
 }  // namespace armsight::vision

@@ -2,8 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <string>
 #include <vector>
 
 namespace armsight::vision {
@@ -48,6 +50,33 @@ TEST(Frame, RefusalsQuoteNothingUnprintable) {
     const std::vector<std::uint8_t> data(10);
     const auto checked = validate_image(data, 32, 32, 96, "\x1b[31m\n\xff");
     for (const char c : std::get<Refusal>(checked).text) EXPECT_TRUE(c >= ' ' && c <= '~') << static_cast<int>(c);
+}
+
+TEST(Frame, SizesAtTheirLimitsAreTakenAndOneBeyondIsNot) {
+    EXPECT_EQ(refusal(16 * 16 * 3, 16, 16, 48, "rgb8"), "");
+    EXPECT_EQ(refusal(15 * 16 * 3, 16, 15, 48, "rgb8"), "image_refused_size");
+    EXPECT_EQ(refusal(8192 * 16 * 4, 8192, 16, 8192 * 4, "bgra8"), "");
+    EXPECT_EQ(refusal(8193 * 16 * 4, 8193, 16, 8193 * 4, "bgra8"), "image_refused_size");
+    EXPECT_EQ(refusal(16 * 8193 * 3, 16, 8193, 48, "rgb8"), "image_refused_size");
+    EXPECT_EQ(refusal(32 * 32 * 4, 32, 32, 127, "rgba8"), "image_refused_step") << "a row of four channels";
+}
+
+TEST(Frame, EveryRowLiesWithinTheBytesThatCame) {
+    // 5 bytes more than needed, 4 of padding a row: the view may not reach beyond any of it
+    const std::vector<std::uint8_t> data(32 * 100 + 5);
+    const auto checked = validate_image(data, 32, 32, 100, "bgr8");
+    const auto& image = std::get<ImageView>(checked);
+    EXPECT_EQ(image.row(0), data.data());
+    EXPECT_LE(image.row(31) + std::ptrdiff_t{image.step}, data.data() + data.size());
+    EXPECT_EQ(image.format, PixelFormat::Bgr8);
+    // the last row's padding is part of the image
+    EXPECT_EQ(refusal(32 * 100 - 1, 32, 32, 100, "bgr8"), "image_refused_truncated");
+}
+
+TEST(Frame, RefusalOfALongEncodingStaysShort) {
+    const std::vector<std::uint8_t> data(10);
+    const auto checked = validate_image(data, 32, 32, 96, std::string(100'000, 'x'));
+    EXPECT_LT(std::get<Refusal>(checked).text.size(), 200U);
 }
 
 }  // namespace

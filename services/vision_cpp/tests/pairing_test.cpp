@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <memory>
+#include <utility>
+
 namespace armsight::vision::service {
 namespace {
 
@@ -85,7 +88,73 @@ TEST(Pairing, FloodOfSingleFramesTakesNoMemory) {
     for (int i = 0; i < 1000; ++i) pairing.add(frame("1", i), kStart);
     EXPECT_EQ(pairing.dropped(), 1000 - Pairing::kMaxPending);
     pairing.add(frame("nobody", 5), kStart);
+    EXPECT_EQ(pairing.take(kStart)->capture_ns, 1000 - static_cast<std::int64_t>(Pairing::kMaxPending));
     EXPECT_FALSE(pairing.take(kStart));
+}
+
+TEST(Pairing, CompleteInstantsAreGivenOutInTheOrderTheyCame) {
+    Pairing pairing({"1", "2"});
+    for (const std::int64_t capture_ns : {10, 11, 12}) {
+        pairing.add(frame("2", capture_ns), kStart);
+        pairing.add(frame("1", capture_ns), kStart);
+    }
+    for (const std::int64_t capture_ns : {10, 11, 12}) EXPECT_EQ(pairing.take(kStart)->capture_ns, capture_ns);
+    EXPECT_FALSE(pairing.take(kStart));
+    EXPECT_EQ(pairing.dropped(), 0U);
+}
+
+TEST(Pairing, TimeThatGoesBackIsAnotherRunAndIsPairedAsWell) {
+    Pairing pairing({"1", "2"});
+    for (const std::int64_t capture_ns : {1000, 10}) {
+        pairing.add(frame("1", capture_ns), kStart);
+        pairing.add(frame("2", capture_ns), kStart);
+        EXPECT_EQ(pairing.take(kStart)->capture_ns, capture_ns);
+    }
+}
+
+TEST(Pairing, OneLostFrameNowAndThenDoesNotMakeACameraGone) {
+    Pairing pairing({"1", "2"});
+    SteadyTime now = kStart;
+    for (int i = 0; i < 20; ++i) {
+        pairing.add(frame("1", i), now);
+        if (i % 2 == 0) pairing.add(frame("2", i), now);
+        now += Pairing::kPatience;
+        ASSERT_TRUE(pairing.take(now)) << "instant " << i;
+        EXPECT_TRUE(pairing.gone().empty()) << "instant " << i;
+    }
+}
+
+TEST(Pairing, DroppedFramesFreeTheirBytes) {
+    Pairing pairing({"1", "2"});
+    const auto bytes = std::make_shared<int>(0);
+    Frame lost = frame("1", 10);
+    lost.owner = bytes;
+    pairing.add(std::move(lost), kStart);
+    EXPECT_EQ(bytes.use_count(), 2);
+    pairing.add(frame("1", 11), kStart);
+    pairing.add(frame("2", 11), kStart);
+    EXPECT_EQ(pairing.take(kStart)->capture_ns, 11);
+    EXPECT_EQ(bytes.use_count(), 1);
+}
+
+// Both ends of what cameras do: at high rates more frames wait within kPatience than Pairing keeps.
+TEST(Pairing, CameraThatFallsSilentIsGivenUpAtEveryFrameRate) {
+    for (const int period_ms : {8, 16, 33, 66, 200}) {
+        Pairing pairing({"1", "2"});
+        int alone = 0;
+        for (int ms = 0; ms < 4000; ++ms) {
+            const SteadyTime now = kStart + milliseconds{ms};
+            if (ms % period_ms == 0) {
+                pairing.add(frame("1", ms), now);
+                if (ms < 1000) pairing.add(frame("2", ms), now);
+            }
+            while (const auto instant = pairing.take(now)) {
+                if (instant->frames.size() == 1) ++alone;
+            }
+        }
+        EXPECT_EQ(pairing.gone(), std::vector<std::string>{"2"}) << "a frame each " << period_ms << " ms";
+        EXPECT_GT(alone, 1000 / period_ms) << "a frame each " << period_ms << " ms";
+    }
 }
 
 }  // namespace

@@ -4,6 +4,11 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
+#include <cmath>
+#include <limits>
+#include <random>
+#include <stdexcept>
+#include <string>
 
 #include "scene.hpp"
 
@@ -175,6 +180,139 @@ TEST(Pipeline, FramesThatCannotBeMeasuredAreLeftOut) {
     const auto estimates = rig.process(pictures, kFrame);
     EXPECT_EQ(estimates[0].status, MarkerStatus::OneView);
     EXPECT_TRUE(rig.process({}, 2 * kFrame)[0].observations.empty());
+}
+
+// How far the truth lies from an estimate, in its own standard deviations.
+double deviations(const MarkerEstimate& estimate, const Eigen::Vector3d& truth) {
+    const Eigen::Vector3d off = *estimate.position - truth;
+    return std::sqrt(off.dot(estimate.covariance.inverse() * off));
+}
+
+TEST(Pipeline, FreeMarkersAtRandomPlacesAreTrackedToAFewMillimetres) {
+    constexpr unsigned kSeed = 2024;
+    std::mt19937 generator(kSeed);
+    std::uniform_real_distribution<double> off(-0.4, 0.4);
+    Rig rig;
+    for (int i = 1; i <= 4; ++i) {
+        Scene scene = arm();
+        for (auto& sphere : scene.spheres) {
+            sphere.centre += Eigen::Vector3d(off(generator), off(generator), off(generator));
+        }
+        const auto estimates = rig.look(scene, i * kFrame);
+        for (std::size_t m = 0; m < 4; ++m) {
+            const std::string trace =
+                estimates[m].name + " seed " + std::to_string(kSeed) + " place " + std::to_string(i);
+            EXPECT_LT(error(estimates[m], scene, m), 0.005) << trace;
+            ASSERT_TRUE(estimates[m].position) << trace;
+            EXPECT_LT(deviations(estimates[m], scene.spheres[m].centre), 4.0) << trace;
+        }
+    }
+}
+
+TEST(Pipeline, MarkerThatMovesWhileOneViewIsHiddenStaysWithinItsCovariance) {
+    Rig rig;
+    Scene scene = arm();
+    (void)rig.look(scene, kFrame);
+    scene.capsules.push_back({{5.0, -0.65, 6.0}, {5.0, -0.65, 8.5}, 0.8});
+    for (int i = 2; i <= 5; ++i) {
+        scene.spheres[2].centre += Eigen::Vector3d(0.05, 0.03, -0.04);  // 2 m/s
+        const auto estimates = rig.look(scene, i * kFrame);
+        ASSERT_EQ(estimates[2].status, MarkerStatus::OneView) << "frame " << i;
+        EXPECT_LT(deviations(estimates[2], scene.spheres[2].centre), 4.0) << "frame " << i;
+        // across the line of sight (y) one view is as good as two
+        EXPECT_NEAR(estimates[2].position->x(), scene.spheres[2].centre.x(), 0.02);
+        EXPECT_NEAR(estimates[2].position->z(), scene.spheres[2].centre.z(), 0.02);
+    }
+}
+
+TEST(Pipeline, MarkerThatOnlyOneCameraEverSawIsMeasuredByItsRadius) {
+    Rig rig;
+    Scene scene = arm();
+    scene.capsules.push_back({{5.0, -0.65, 6.0}, {5.0, -0.65, 8.5}, 0.8});
+    const auto estimates = rig.look(scene, kFrame);
+    EXPECT_EQ(estimates[2].status, MarkerStatus::OneView);
+    ASSERT_TRUE(estimates[2].position);
+    EXPECT_LT(deviations(estimates[2], scene.spheres[2].centre), 4.0);
+    EXPECT_GT(estimates[2].covariance(1, 1), 20.0 * estimates[2].covariance(0, 0)) << "depth is weak";
+}
+
+TEST(Pipeline, MarkerThatComesBackIsTrackedAgainAtOnce) {
+    Rig rig;
+    Scene scene = arm();
+    (void)rig.look(scene, kFrame);
+    Scene without = scene;
+    without.spheres.erase(without.spheres.begin() + 2);
+    EXPECT_EQ(rig.look(without, 2 * kFrame)[2].status, MarkerStatus::Lost);
+    scene.spheres[2].centre += Eigen::Vector3d(0.5, 0.5, -0.5);
+    const auto estimates = rig.look(scene, 3 * kFrame);
+    EXPECT_EQ(estimates[2].status, MarkerStatus::Tracked);
+    EXPECT_LT(error(estimates[2], scene, 2), 0.005);
+    EXPECT_EQ(estimates[2].age_s, 0.0);
+}
+
+TEST(Pipeline, ResetForgetsEverything) {
+    Rig rig;
+    (void)rig.look(arm(), kFrame);
+    rig.pipeline.reset();
+    for (const MarkerEstimate& estimate : rig.process({}, 2 * kFrame)) {
+        EXPECT_EQ(estimate.status, MarkerStatus::Lost);
+        EXPECT_FALSE(estimate.position);
+        EXPECT_EQ(estimate.age_s, 0.0);
+    }
+}
+
+TEST(Pipeline, SamePicturesGiveTheSameBitsInAnyOrderOfChannels) {
+    const Scene scene = arm();
+    Rig first;
+    std::vector<Picture> pictures;
+    for (const Camera& camera : first.cameras) pictures.push_back(testing::draw(scene, camera, 2));
+    const auto expected = first.process(pictures, kFrame);
+    for (const PixelFormat format : {PixelFormat::Rgb8, PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8}) {
+        Rig rig;
+        std::vector<Picture> others;
+        for (const Picture& picture : pictures) others.push_back(testing::converted(picture, format, 12));
+        const auto estimates = rig.process(others, kFrame);
+        for (std::size_t i = 0; i < 4; ++i) {
+            EXPECT_EQ(*estimates[i].position, *expected[i].position);
+            EXPECT_EQ(estimates[i].covariance, expected[i].covariance);
+        }
+    }
+}
+
+TEST(Pipeline, FramesWithoutAUsableCameraAreLeftOut) {
+    Rig rig;
+    const Picture picture = testing::draw(arm(), rig.cameras[0], 1);
+    Camera broken = rig.cameras[1];
+    broken.T_world_camera.translation().y() = std::numeric_limits<double>::quiet_NaN();
+    const CameraFrame whole{.camera = rig.cameras.data(), .image = picture.view()};
+    const CameraFrame nobody{.camera = nullptr, .image = picture.view()};
+    const CameraFrame unusable{.camera = &broken, .image = picture.view()};
+    EXPECT_TRUE(is_measurable(whole));
+    EXPECT_FALSE(is_measurable(nobody));
+    EXPECT_FALSE(is_measurable(unusable));
+    const auto estimates = rig.pipeline.process(kFrame, std::vector<CameraFrame>{nobody, whole, unusable});
+    for (const MarkerEstimate& estimate : estimates) {
+        ASSERT_EQ(estimate.observations.size(), 1U) << estimate.name;
+        EXPECT_EQ(estimate.observations[0].camera, "1");
+    }
+}
+
+TEST(Pipeline, MarkersThatCannotBeToldApartAreRefused) {
+    auto markers = testing::arm_markers();
+    markers[1].color = markers[0].color;
+    EXPECT_THROW((void)Pipeline(markers), std::invalid_argument);
+}
+
+TEST(Pipeline, LargerPatchOfItsColourInOneViewDoesNotLoseAMarkerWhosePlaceIsKnown) {
+    Rig rig;
+    const Scene scene = arm();
+    (void)rig.look(scene, kFrame);
+    Scene with_other = scene;
+    with_other.spheres.push_back({{0.0, -4.0, 4.0}, 0.6, {1.0, 0.0, 0.0}});
+    const auto estimates =
+        rig.process({testing::draw(with_other, rig.cameras[0]), testing::draw(scene, rig.cameras[1])}, 2 * kFrame);
+    EXPECT_NE(estimates[3].status, MarkerStatus::Lost) << "both cameras see it";
+    EXPECT_LT(error(estimates[3], scene, 3), 0.3);
 }
 
 }  // namespace

@@ -35,5 +35,54 @@ TEST(Rig, MadeUpCameraNamesDoNotFillTheMemory) {
     EXPECT_NO_THROW(rig.set("camera3", Eigen::Isometry3d::Identity()));
 }
 
+TEST(Rig, OneCameraCannotMeasure) {
+    Rig rig;
+    Description description = two_cameras();
+    description.cameras.pop_back();
+    rig.set(description);
+    EXPECT_NE(rig.missing().find("fewer than two cameras"), std::string::npos);
+}
+
+TEST(Rig, EverySetIsANewVersion) {
+    Rig rig;
+    auto before = rig.version();
+    const auto expect_newer = [&] {
+        EXPECT_NE(rig.version(), before);
+        before = rig.version();
+    };
+    rig.set(two_cameras());
+    expect_newer();
+    rig.set("1", Eigen::Isometry3d::Identity());
+    expect_newer();
+    rig.set("1", Calibration{.width = 640, .height = 480, .K = Eigen::Matrix3d::Identity(), .distortion = {}});
+    expect_newer();
+}
+
+TEST(Rig, CameraIsWhatWasToldLast) {
+    Rig rig;
+    rig.set(two_cameras());
+    rig.set("1", Calibration{.width = 640, .height = 480, .K = Eigen::Matrix3d::Identity(), .distortion = {}});
+    rig.set("1", Calibration{.width = 800, .height = 600, .K = 2.0 * Eigen::Matrix3d::Identity(), .distortion = {0.1}});
+    Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+    pose.translation().x() = 18.0;
+    rig.set("1", pose);
+    const auto cameras = rig.cameras();
+    ASSERT_EQ(cameras.size(), 1U);
+    EXPECT_EQ(cameras[0].name, "1");
+    EXPECT_EQ(cameras[0].width, 800);
+    EXPECT_EQ(cameras[0].height, 600);
+    EXPECT_EQ(cameras[0].K(0, 0), 2.0);
+    EXPECT_EQ(cameras[0].distortion[0], 0.1);
+    EXPECT_EQ(cameras[0].T_world_camera.translation().x(), 18.0);
+}
+
+TEST(Rig, CamerasThatTheDescriptionDoesNotNameAreLeftOut) {
+    Rig rig;
+    rig.set(two_cameras());
+    rig.set("9", Calibration{.width = 640, .height = 480, .K = Eigen::Matrix3d::Identity(), .distortion = {}});
+    rig.set("9", Eigen::Isometry3d::Identity());
+    EXPECT_TRUE(rig.cameras().empty());
+}
+
 }  // namespace
 }  // namespace armsight::vision::service

@@ -2,7 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include <unistd.h>
+
+#include <cstdio>
 #include <cstdlib>
+#include <fstream>
 
 #include "service/session_config.hpp"
 
@@ -56,6 +60,92 @@ TEST_F(Environment, SessionIsAClientWithTheDefaultsOfAllServices) {
 
 TEST_F(Environment, MissingConfigurationFileIsAnErrorOfOurs) {
     EXPECT_THROW((void)session_config(*parsed({"--zenoh-config", "/nowhere.json5"}), false), ConfigError);
+}
+
+TEST_F(Environment, NothingGivenLeavesTheDefaults) {
+    const auto settings = parsed({});
+    EXPECT_TRUE(settings->connect.empty());
+    EXPECT_EQ(settings->name_space, "");
+    EXPECT_EQ(settings->zenoh_config, "");
+    EXPECT_EQ(settings->log_level, "warning");
+    EXPECT_TRUE(settings->shared_memory);
+    EXPECT_FALSE(settings->health);
+}
+
+TEST_F(Environment, EveryVariableIsRead) {
+    setenv("ARMSIGHT_ZENOH_CONFIG", "/some/file.json5", 1);
+    setenv("ARMSIGHT_SHARED_MEMORY", "off", 1);
+    EXPECT_EQ(parsed({})->zenoh_config, "/some/file.json5");
+    EXPECT_FALSE(parsed({})->shared_memory);
+    EXPECT_EQ(parsed({"--zenoh-config", "/other.json5"})->zenoh_config, "/other.json5");
+}
+
+TEST_F(Environment, ItsValuesAreCheckedLikeFlags) {
+    setenv("ARMSIGHT_CONNECT", "tcp/a:1,localhost", 1);
+    EXPECT_THROW((void)parsed({}), ConfigError);
+    clear();
+    setenv("ARMSIGHT_NAMESPACE", "robots//arm", 1);
+    EXPECT_THROW((void)parsed({}), ConfigError);
+}
+
+TEST_F(Environment, RefusalsNameWhatIsWrong) {
+    const auto text_of = [](const std::vector<const char*>& flags) -> std::string {
+        try {
+            (void)parsed(flags);
+        } catch (const ConfigError& error) {
+            return error.what();
+        }
+        return "accepted";
+    };
+    EXPECT_NE(text_of({"--connect", "tcp/"}).find("tcp/"), std::string::npos);
+    EXPECT_NE(text_of({"--connect", "/host:1"}).find("/host:1"), std::string::npos);
+    EXPECT_NE(text_of({"--namespace", "robots/arm/"}).find("robots/arm/"), std::string::npos);
+    EXPECT_NE(text_of({"--namespace", "a$b"}).find("a$b"), std::string::npos);
+    EXPECT_NE(text_of({"--log-level", "loud"}).find("loud"), std::string::npos);
+    EXPECT_NE(text_of({"--connect"}), "accepted");
+    EXPECT_NE(text_of({"stray"}), "accepted");
+}
+
+TEST_F(Environment, ConnectMayBeGivenAgain) {
+    EXPECT_EQ(parsed({"--connect", "tcp/a:1", "--connect", "tcp/b:2"})->connect,
+              (std::vector<std::string>{"tcp/a:1", "tcp/b:2"}));
+}
+
+TEST_F(Environment, HelpIsPrintedAndNothingRuns) {
+    ::testing::internal::CaptureStdout();
+    EXPECT_FALSE(parsed({"--help"}));
+    EXPECT_NE(::testing::internal::GetCapturedStdout().find("--namespace"), std::string::npos);
+}
+
+class ConfigurationFile : public Environment {
+  protected:
+    std::string path = ::testing::TempDir() + "armsight_settings_test_" + std::to_string(getpid()) + ".json5";
+    void write(const std::string& text) const { std::ofstream(path) << text; }
+    void TearDown() override {
+        std::remove(path.c_str());
+        Environment::TearDown();
+    }
+    [[nodiscard]] zenoh::Config config(std::vector<const char*> flags = {}) const {
+        flags.insert(flags.end(), {"--zenoh-config", path.c_str()});
+        return session_config(*parsed(flags), false);
+    }
+};
+
+TEST_F(ConfigurationFile, WinsOverDefaultsAndLosesToFlags) {
+    write("{ connect: { endpoints: ['tcp/file:1'] }, namespace: 'robots/file', /* JSON5 */ }");
+    EXPECT_EQ(config().get_json("connect/endpoints"), "[\"tcp/file:1\"]");
+    EXPECT_EQ(config().get_json("namespace"), "\"robots/file\"");
+    const zenoh::Config flagged = config({"--connect", "tcp/flag:2", "--namespace", "robots/flag"});
+    EXPECT_EQ(flagged.get_json("connect/endpoints"), "[\"tcp/flag:2\"]");
+    EXPECT_EQ(flagged.get_json("namespace"), "\"robots/flag\"");
+    EXPECT_EQ(flagged.get_json("transport/shared_memory/enabled"), "false");
+}
+
+TEST_F(ConfigurationFile, ThatIsNoneIsAnErrorOfOurs) {
+    for (const char* text : {"", "{ mode: ", "not json5 at all", "{ no_such_setting: 1 }"}) {
+        write(text);
+        EXPECT_THROW((void)config(), ConfigError) << text;
+    }
 }
 
 }  // namespace

@@ -137,5 +137,136 @@ TEST(FitSphere, NothingDeterminedGivesNothing) {
     EXPECT_FALSE(fit_sphere(behind, 0.4, {40.0, 0.0, 6.0})) << "a start behind the camera";
 }
 
+TEST(Triangulate, RaysWithinAMilliradianAreParallel) {
+    const auto pair = [](double angle) {
+        const Eigen::Vector3d point(0.0, 0.0, 20.0);
+        const Eigen::Vector3d beside(20.0 * std::tan(angle), 0.0, 0.0);
+        return std::vector<Ray>{{.origin = {0, 0, 0}, .direction = {0, 0, 1}},
+                                {.origin = beside, .direction = (point - beside).normalized()}};
+    };
+    EXPECT_FALSE(triangulate(pair(0.0005)));
+    const auto found = triangulate(pair(0.003));
+    ASSERT_TRUE(found);
+    EXPECT_NEAR((*found - Eigen::Vector3d(0, 0, 20)).norm(), 0.0, 1e-6);
+}
+
+TEST(Triangulate, RaysThatPassEachOtherMeetHalfWay) {
+    const std::vector<Ray> rays{{.origin = {-5.0, 0.0, 0.0}, .direction = {1, 0, 0}},
+                                {.origin = {0.0, -5.0, 0.4}, .direction = {0, 1, 0}}};
+    const auto found = triangulate(rays);
+    ASSERT_TRUE(found);
+    EXPECT_NEAR((*found - Eigen::Vector3d(0.0, 0.0, 0.2)).norm(), 0.0, 1e-12);
+}
+
+TEST(FitSphere, CovarianceComesFromTheNumericSlopesOfTheResiduals) {
+    const Camera front = testing::front_camera();
+    const Camera side = testing::side_camera();
+    const Eigen::Vector3d centre(2.0, 1.5, 7.0);
+    constexpr double kRadius = 0.4;
+    std::mt19937 generator(1);
+    const auto a = outline(front, centre, kRadius, 30, 0.0, generator);
+    const auto b = outline(side, centre, kRadius, 17, 0.0, generator);
+    const std::vector<View> views{view(front, a), view(side, b)};
+    const auto fix = fit_sphere(views, kRadius, centre);
+    ASSERT_TRUE(fix);
+
+    // reference/vision.md: f (angle(d, axis) - asin(radius / distance)), here differentiated numerically
+    const auto residual = [&](const View& v, const EdgePoint& point, const Eigen::Vector3d& position) {
+        const Eigen::Vector3d c = v.camera->T_world_camera.inverse() * position;
+        const double angle = std::atan2(c.cross(point.ray).norm(), c.dot(point.ray));
+        return point.pixels_per_radian * (angle - std::asin(kRadius / c.norm()));
+    };
+    Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
+    constexpr double kStep = 1e-5;
+    for (const View& v : views) {
+        for (const EdgePoint& point : v.outline) {
+            Eigen::Vector3d slope;
+            for (int axis = 0; axis < 3; ++axis) {
+                const Eigen::Vector3d h = kStep * Eigen::Vector3d::Unit(axis);
+                slope[axis] = (residual(v, point, centre + h) - residual(v, point, centre - h)) / (2.0 * kStep);
+            }
+            normal += slope * slope.transpose();
+        }
+    }
+    // the shape is the slopes' alone; the scale is one number, the assumed variance of an edge point
+    const Eigen::Matrix3d shape = fix->covariance * normal;
+    const double variance = shape.trace() / 3.0;
+    EXPECT_NEAR((shape / variance - Eigen::Matrix3d::Identity()).norm(), 0.0, 1e-5);
+    EXPECT_GE(variance, fix->sigma_px * fix->sigma_px);
+}
+
+TEST(FitSphere, ConvergesFromAnyStartWithinAPixelOrTwo) {
+    const Camera front = testing::front_camera();
+    const Camera side = testing::side_camera();
+    constexpr unsigned kSeed = 8;
+    std::mt19937 generator(kSeed);
+    std::uniform_real_distribution<double> place(-3.0, 3.0);
+    std::normal_distribution<double> off(0.0, 0.02);  // metres; a pixel is 38 mm
+    for (int i = 0; i < 200; ++i) {
+        const Eigen::Vector3d centre(place(generator), place(generator), 6.0 + place(generator));
+        const auto a = outline(front, centre, 0.3, 24, 0.0, generator);
+        const auto b = outline(side, centre, 0.3, 24, 0.0, generator);
+        const std::vector<View> views{view(front, a), view(side, b)};
+        const Eigen::Vector3d start = centre + Eigen::Vector3d(off(generator), off(generator), off(generator));
+        const auto fix = fit_sphere(views, 0.3, start);
+        ASSERT_TRUE(fix) << "seed " << kSeed << " run " << i;
+        EXPECT_NEAR((fix->position - centre).norm(), 0.0, 1e-7) << "seed " << kSeed << " run " << i;
+    }
+}
+
+TEST(FitSphere, PriorAddsItsInformation) {
+    const Camera front = testing::front_camera();
+    const Eigen::Vector3d centre(0.0, 1.0, 6.5);
+    std::mt19937 generator(1);
+    const auto points = outline(front, centre, 0.6, 40, 0.0, generator);
+    const std::vector<View> views{view(front, points)};
+    const auto alone = fit_sphere(views, 0.6, centre);
+    const Prior prior{.position = centre, .covariance = 1e-4 * Eigen::Matrix3d::Identity()};
+    const auto both = fit_sphere(views, 0.6, centre, prior);
+    ASSERT_TRUE(alone && both);
+    const Eigen::Matrix3d sum = alone->covariance.inverse() + prior.covariance.inverse();
+    EXPECT_NEAR((both->covariance * sum - Eigen::Matrix3d::Identity()).norm(), 0.0, 1e-6);
+    // a prior far along the line of sight, where the view knows little, pulls; one across it hardly does
+    const auto pulled = [&](const Eigen::Vector3d& by) {
+        const Prior elsewhere{.position = centre + by, .covariance = 1e-2 * Eigen::Matrix3d::Identity()};
+        const auto fix = fit_sphere(views, 0.6, centre, elsewhere);
+        return fix ? (fix->position - centre).norm() : 1e9;
+    };
+    EXPECT_LT(pulled({0.0, 0.02, 0.0}), 0.001);
+    EXPECT_GT(pulled({0.02, 0.0, 0.0}), pulled({0.0, 0.02, 0.0}) * 3.0);
+}
+
+TEST(FitSphere, MiddlesAloneGiveThePointWhereTheyMeet) {
+    const Camera front = testing::front_camera();
+    const Camera side = testing::side_camera();
+    const Eigen::Vector3d centre(1.0, -0.5, 5.0);
+    std::vector<View> views{view(front, {}), view(side, {})};
+    for (View& v : views) {
+        v.centre = (v.camera->T_world_camera.inverse() * centre).normalized();
+        v.centre_sigma_px = 4.0;
+        v.centre_pixels_per_radian = pixels_per_radian(*v.camera, v.centre);
+    }
+    const auto fix = fit_sphere(views, 0.4, centre + Eigen::Vector3d(0.2, -0.3, 0.1));
+    ASSERT_TRUE(fix);
+    EXPECT_NEAR((fix->position - centre).norm(), 0.0, 1e-5);
+    // 4 pixels of 38 mm, each of x and y seen by one camera
+    EXPECT_NEAR(std::sqrt(fix->covariance(0, 0)), 4.0 * 0.038, 0.03);
+    EXPECT_NEAR(std::sqrt(fix->covariance(1, 1)), 4.0 * 0.038, 0.03);
+    EXPECT_LT(fix->covariance(2, 2), 0.7 * fix->covariance(0, 0)) << "both see z";
+}
+
+TEST(Agreement, IsTheShareOfEdgesOnTheOutline) {
+    const Camera front = testing::front_camera();
+    const Eigen::Vector3d centre(0.0, 1.0, 6.0);
+    std::mt19937 generator(1);
+    auto points = outline(front, centre, 0.5, 40, 0.0, generator);
+    EXPECT_EQ(agreement(view(front, points), 0.5, centre, 0.5), 1.0);
+    const Eigen::Vector3d axis = (front.T_world_camera.inverse() * centre).normalized();
+    for (std::size_t i = 0; i < 10; ++i) points[i].ray = axis;  // in the middle: a radius away from the outline
+    EXPECT_DOUBLE_EQ(agreement(view(front, points), 0.5, centre, 0.5), 0.75);
+    EXPECT_EQ(agreement(view(front, {}), 0.5, centre, 0.5), 0.0);
+    EXPECT_EQ(agreement(view(front, points), 0.5, {40.0, 0.0, 6.0}, 0.5), 0.0) << "behind the camera";
+}
+
 }  // namespace
 }  // namespace armsight::vision

@@ -171,8 +171,7 @@ Eigen::Isometry3d decode_pose(Bytes payload) {
     const Eigen::Vector3d translation(t.x(), t.y(), t.z());
     if (!(std::abs(rotation.norm() - 1.0) < 1e-3))
         throw MalformedMessage("a camera's rotation is not a unit quaternion");
-    if (!(translation.cwiseAbs().maxCoeff() < kMaxMetres))
-        throw MalformedMessage("a camera's position is out of range");
+    if (!(translation.array().abs() < kMaxMetres).all()) throw MalformedMessage("a camera's position is out of range");
     Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
     pose.linear() = rotation.normalized().toRotationMatrix();
     pose.translation() = translation;

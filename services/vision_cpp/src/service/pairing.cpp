@@ -22,10 +22,7 @@ void Pairing::add(Frame frame, SteadyTime now) {
     known->second = 0;
     auto instant = std::ranges::find(pending_, frame.capture_ns, &Instant::capture_ns);
     if (instant == pending_.end()) {
-        if (pending_.size() >= kMaxPending) {
-            dropped_ += pending_.front().frames.size();
-            pending_.pop_front();
-        }
+        if (pending_.size() >= kMaxPending) drop_oldest();
         pending_.push_back({.capture_ns = frame.capture_ns, .frames = {}, .since = now});
         instant = std::prev(pending_.end());
     }
@@ -37,7 +34,9 @@ std::optional<Instant> Pairing::take(SteadyTime now) {
     for (std::size_t i = 0; i < pending_.size(); ++i) {
         if (is_complete(pending_[i])) return remove_until(i);
     }
-    if (!pending_.empty() && now - pending_.front().since >= kPatience) return remove_until(0);
+    // newer instants wait as well, and none is complete: what is missing will not come
+    const bool is_full = pending_.size() >= kMaxPending;
+    if (is_full || (!pending_.empty() && now - pending_.front().since >= kPatience)) return remove_until(0);
     return std::nullopt;
 }
 
@@ -55,10 +54,7 @@ bool Pairing::is_complete(const Instant& instant) const {
 }
 
 Instant Pairing::remove_until(std::size_t index) {
-    for (std::size_t i = 0; i < index; ++i) {
-        dropped_ += pending_.front().frames.size();
-        pending_.pop_front();
-    }
+    for (std::size_t i = 0; i < index; ++i) drop_oldest();
     Instant instant = std::move(pending_.front());
     pending_.pop_front();
     for (auto& [camera, misses] : misses_) {
@@ -67,6 +63,11 @@ Instant Pairing::remove_until(std::size_t index) {
     // the same order in every run, whatever came first: equal input gives equal bits
     std::ranges::sort(instant.frames, {}, &Frame::camera);
     return instant;
+}
+
+void Pairing::drop_oldest() {
+    dropped_ += pending_.front().frames.size();
+    pending_.pop_front();
 }
 
 }  // namespace armsight::vision::service

@@ -32,8 +32,8 @@ struct Instant {
 };
 
 /// Waits for the frames of one capture time to be complete; either may be lost alone. An instant that stays incomplete
-/// is given out after kPatience with what is there. A camera that missed several instants in a row is not waited for.
-/// Not safe from several threads: the caller locks.
+/// is given out with what is there after kPatience, or when kMaxPending of them wait. A camera that missed several
+/// instants in a row is not waited for. Not safe from several threads: the caller locks.
 class Pairing {
   public:
     static constexpr std::chrono::milliseconds kPatience{250};
@@ -57,6 +57,7 @@ class Pairing {
   private:
     [[nodiscard]] bool is_complete(const Instant& instant) const;
     [[nodiscard]] Instant remove_until(std::size_t index);
+    void drop_oldest();
 
     std::map<std::string, int> misses_;  ///< instants in a row without a frame of this camera
     std::deque<Instant> pending_;
