@@ -27,7 +27,7 @@ class Motion:
         self.world = world
         self._instants = instants
         self._gate = CommandGate(world)
-        self._setpoint = Setpoint(pose, world.max_speed, 1.0 / instants.fps)
+        self._setpoint = Setpoint(pose, world.limits, world.max_speed, 1.0 / instants.fps)
         self._since_command_s = 0.0
         self._steps = 0
         self.frame = 0

@@ -1,7 +1,7 @@
 """The setpoint in force: follows commands within speed and acceleration, and comes to rest without them.
 
 Speed and acceleration are limited for all joints together (one scale for the whole vector), so that the arm keeps the
-direction that was asked for.
+direction that was asked for. Where a joint would else pass its limit, its own braking comes before the direction.
 """
 
 import numpy as np
@@ -16,14 +16,16 @@ MAX_ACCELERATION_RAD_S2 = 20.0
 class Setpoint:
     """Position and speed of the setpoint (rad, rad/s), moved step by step of simulated time."""
 
-    def __init__(self, pose: Vector, max_speed: Vector, command_period_s: float) -> None:
+    def __init__(self, pose: Vector, limits: Vector, max_speed: Vector, command_period_s: float) -> None:
         """At rest at a pose.
 
         Args:
-            pose: where to be.
+            pose: where to be, within the limits.
+            limits: lower and upper of each joint, rad (n x 2).
             max_speed: of each joint, rad/s.
             command_period_s: usual time between two commands: a setpoint is reached in this time where speed allows it.
         """
+        self._lower, self._upper = limits.T
         self._max_speed = max_speed
         self._period = command_period_s
         self.reset(pose)
@@ -70,8 +72,8 @@ class Setpoint:
         largest = float(np.abs(change).max())
         if largest > MAX_ACCELERATION_RAD_S2 * dt:
             change *= MAX_ACCELERATION_RAD_S2 * dt / largest
-        self.speed = self.speed + change
-        self.position = self.position + self.speed * dt
+        self.speed = self._stoppable(self.speed + change, dt)
+        self.position = np.clip(self.position + self.speed * dt, self._lower, self._upper)
         if self._braking and not self.speed.any():
             self._goal = self.position.copy()
         elif not self._braking and float(np.abs(self._goal - self.position).max()) < 1e-9:
@@ -87,3 +89,9 @@ class Setpoint:
         # The last step must end on the goal, at a speed that braking from there can take away.
         stopping = np.sqrt(2.0 * MAX_ACCELERATION_RAD_S2 * distance)
         return np.asarray(direction * min(fastest, self._cruise, stopping, distance / dt))
+
+    def _stoppable(self, speed: Vector, dt: float) -> Vector:
+        # v dt + v^2 / 2a <= room: after this step, what is left is enough to come to rest at the limit
+        room = np.where(speed > 0.0, self._upper - self.position, self.position - self._lower)
+        fastest = MAX_ACCELERATION_RAD_S2 * (np.sqrt(dt * dt + 2.0 * room / MAX_ACCELERATION_RAD_S2) - dt)
+        return np.asarray(np.clip(speed, -fastest, fastest))

@@ -12,6 +12,8 @@ from armsight_sim.clock import ClockMode
 from armsight_sim.targets import TARGETS
 
 AMBIENT_SWEEP = "sweep"
+# 2200: simulated time, counted on from here, stays in 64 bits for every reader
+LATEST_START_NS = 7_258_118_400 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,14 @@ def argument_parser() -> argparse.ArgumentParser:
 def _start_ns(text: str | None) -> int:
     if text is None:
         return wall_ns()
-    if text.isdigit():
+    start = _parse_time(text)
+    if not 0 <= start <= LATEST_START_NS:
+        raise ConfigError(f"--start-time {text!r} is out of range: from 1970 to 2200")
+    return start
+
+
+def _parse_time(text: str) -> int:
+    if text.isascii() and text.isdigit():
         return int(text)
     try:
         time = datetime.datetime.fromisoformat(text)

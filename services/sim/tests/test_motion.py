@@ -78,3 +78,15 @@ def test_reset_takes_effect_from_the_next_frame_and_time_goes_on(motion: Motion)
     assert motion.capture_ns == first > before
     np.testing.assert_allclose(motion.world.angles(), pose, atol=1e-6)
     assert move(motion, 0.3) is Verdict.MOVE
+
+
+def test_arm_stays_within_its_limits_whatever_is_allowed(motion: Motion) -> None:
+    lower, upper = motion.world.limits[0]
+    farthest = 0.0
+    for frame in range(240):
+        # from end to end, and turned round at full speed shortly before the end
+        move(motion, upper if frame % 60 < 40 else lower)
+        motion.next_frame()
+        farthest = max(farthest, abs(motion.world.angles()[0]))
+    assert farthest <= upper + 0.01
+    assert farthest >= upper - 0.01

@@ -1,17 +1,21 @@
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import example, given
+from hypothesis.extra.numpy import arrays
+from hypothesis.strategies import floats, integers, lists
 
 from armsight_sim.setpoint import MAX_ACCELERATION_RAD_S2, Setpoint
 
 Vector = npt.NDArray[np.float64]
 DT = 0.002
 SPEED = np.full(4, 5.0)
+LIMITS = np.array([[-3.1, 3.1], [-1.6, 1.6], [-1.6, 1.6], [-1.6, 1.6]])
 
 
 @pytest.fixture
 def setpoint() -> Setpoint:
-    return Setpoint(np.zeros(4), SPEED, 1 / 30)
+    return Setpoint(np.zeros(4), LIMITS, SPEED, 1 / 30)
 
 
 def run(setpoint: Setpoint, seconds: float) -> Vector:
@@ -66,3 +70,22 @@ def test_accepted_is_the_command_where_the_speed_limit_lets_it(setpoint: Setpoin
     run(setpoint, 1.0)
     np.testing.assert_array_equal(setpoint.accepted, setpoint.position)
     assert setpoint.accepted[0] < 3.0
+
+
+@given(
+    start=arrays(np.float64, 4, elements=floats(0.0, 1.0)),
+    goals=lists(arrays(np.float64, 4, elements=floats(0.0, 1.0)), min_size=1, max_size=12),
+    steps=integers(1, 60),
+)
+@example(start=np.zeros(4), goals=[np.ones(4), np.array([0.9, 1.0, 0.0, 0.5])], steps=40)
+def test_no_order_of_allowed_commands_takes_it_beyond_a_limit(start: Vector, goals: list[Vector], steps: int) -> None:
+    lower, upper = LIMITS.T
+    setpoint = Setpoint(lower + start * (upper - lower), LIMITS, SPEED, 1 / 30)
+    for goal in goals:
+        setpoint.command(lower + goal * (upper - lower))
+        for _ in range(steps):
+            before = setpoint.speed.copy()
+            setpoint.step(DT)
+            assert (lower <= setpoint.position).all()
+            assert (setpoint.position <= upper).all()
+            assert np.abs(setpoint.speed - before).max() <= MAX_ACCELERATION_RAD_S2 * DT + 1e-9

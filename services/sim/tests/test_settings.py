@@ -21,6 +21,10 @@ EXECUTABLE = Path(sys.executable).parent / "armsight-sim"
         ["--noise", "-1"],
         ["--start-time", "yesterday"],
         ["--start-time", "2024-05-01T12:00:00"],
+        ["--start-time", "²"],
+        ["--start-time", "99999999999999999999999"],
+        ["--start-time", "9999-01-01T00:00:00Z"],
+        ["--start-time", "1066-10-14T09:00:00Z"],
     ],
 )
 def test_values_that_cannot_work_are_refused(flags: list[str]) -> None:
