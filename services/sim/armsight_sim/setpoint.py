@@ -72,7 +72,7 @@ class Setpoint:
         largest = float(np.abs(change).max())
         if largest > MAX_ACCELERATION_RAD_S2 * dt:
             change *= MAX_ACCELERATION_RAD_S2 * dt / largest
-        self.speed = self._stoppable(self.speed + change, dt)
+        self.speed = self._within_limits(self.speed + change, dt)
         self.position = np.clip(self.position + self.speed * dt, self._lower, self._upper)
         if self._braking and not self.speed.any():
             self._goal = self.position.copy()
@@ -86,12 +86,15 @@ class Setpoint:
             return np.zeros_like(away)
         direction = away / distance
         fastest = float((self._max_speed / np.maximum(np.abs(direction), 1e-12)).min())
-        # The last step must end on the goal, at a speed that braking from there can take away.
-        stopping = np.sqrt(2.0 * MAX_ACCELERATION_RAD_S2 * distance)
-        return np.asarray(direction * min(fastest, self._cruise, stopping, distance / dt))
+        return np.asarray(direction * min(fastest, self._cruise, float(_stoppable(np.asarray(distance), dt))))
 
-    def _stoppable(self, speed: Vector, dt: float) -> Vector:
-        # v dt + v^2 / 2a <= room: after this step, what is left is enough to come to rest at the limit
+    def _within_limits(self, speed: Vector, dt: float) -> Vector:
         room = np.where(speed > 0.0, self._upper - self.position, self.position - self._lower)
-        fastest = MAX_ACCELERATION_RAD_S2 * (np.sqrt(dt * dt + 2.0 * room / MAX_ACCELERATION_RAD_S2) - dt)
+        fastest = _stoppable(room, dt)
         return np.asarray(np.clip(speed, -fastest, fastest))
+
+
+def _stoppable(room: Vector, dt: float) -> Vector:
+    # largest v with v dt + v^2 / 2a <= room: what is left after one more step is enough to come to rest
+    a = MAX_ACCELERATION_RAD_S2
+    return np.asarray(a * (np.sqrt(dt * dt + 2.0 * room / a) - dt))

@@ -74,10 +74,11 @@ def test_accepted_is_the_command_where_the_speed_limit_lets_it(setpoint: Setpoin
 
 @given(
     start=arrays(np.float64, 4, elements=floats(0.0, 1.0)),
-    goals=lists(arrays(np.float64, 4, elements=floats(0.0, 1.0)), min_size=1, max_size=12),
-    steps=integers(1, 60),
+    goals=lists(arrays(np.float64, 4, elements=floats(0.0, 1.0)), min_size=1, max_size=4),
+    steps=integers(1, 400),
 )
-@example(start=np.zeros(4), goals=[np.ones(4), np.array([0.9, 1.0, 0.0, 0.5])], steps=40)
+# joint 2 nears its end when joint 1 is turned round: braking in proportion would leave too little for joint 2
+@example(start=np.array([1.0, 0.0, 0.5, 0.5]), goals=[np.array([0.48, 1.0, 0.5, 0.5]), np.ones(4)], steps=315)
 def test_no_order_of_allowed_commands_takes_it_beyond_a_limit(start: Vector, goals: list[Vector], steps: int) -> None:
     lower, upper = LIMITS.T
     setpoint = Setpoint(lower + start * (upper - lower), LIMITS, SPEED, 1 / 30)
