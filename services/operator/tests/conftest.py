@@ -1,12 +1,16 @@
 import stat
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from armsight_operator.stack import NAMES, Stack
+from armsight.bus import Bus
+from armsight.session import SessionConfig, open_session
+from armsight_operator.stack import NAMES, Stack, free_port
 from armsight_operator.stack.executables import VISION_VARIABLE
+from fake_arm import FakeArm
 
 PYTHON = sys.executable
 SCRIPTS = {"router": "armsight", "sim": "armsight-sim", "control": "armsight-control", "vision": "armsight-vision"}
@@ -45,3 +49,36 @@ def stack(fake: Callable[..., Path], tmp_path: Path) -> Iterator[Stack]:
     del fake
     with Stack(out=tmp_path / "out") as stack:
         yield stack
+
+
+@pytest.fixture
+def endpoint() -> Iterator[str]:
+    """A router's."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    config = SessionConfig(mode="router", endpoints=(endpoint,), namespace="", shared_memory="off")
+    session = open_session(config, threading.Event())
+    assert session is not None
+    with session:
+        yield endpoint
+
+
+@pytest.fixture
+def make_bus(endpoint: str) -> Iterator[Callable[[], Bus]]:
+    """Opens places on the router's bus."""
+    opened: list[Bus] = []
+
+    def make() -> Bus:
+        session = open_session(SessionConfig(endpoints=(endpoint,), shared_memory="off"), threading.Event())
+        assert session is not None
+        opened.append(Bus(session))
+        return opened[-1]
+
+    yield make
+    for bus in opened:
+        bus.session.close()  # type: ignore[no-untyped-call]
+
+
+@pytest.fixture
+def arm(make_bus: Callable[[], Bus]) -> FakeArm:
+    """Something that answers as sim and control do."""
+    return FakeArm(make_bus())

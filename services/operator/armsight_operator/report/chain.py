@@ -60,7 +60,7 @@ class Arm:
         """
         rows = [self._jacobian(q, attached, free) for attached in self.markers.values()]
         _, values, vectors = np.linalg.svd(np.vstack(rows), full_matrices=False)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             scaled = np.where(np.abs(vectors) < 1e-9, 0.0, vectors / values[:, None])
         return np.asarray(MARKER_NOISE_M * np.sqrt((scaled**2).sum(axis=0)))
 
