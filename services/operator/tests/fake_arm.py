@@ -78,6 +78,14 @@ class FakeArm:
         bus.serve(topics.RESET, self._reset)
         bus.serve(topics.STOP, self._set_stop)
 
+    def wait_for_listeners(self) -> None:
+        """Until somebody hears of health and status: what is said before is lost."""
+        until = time.monotonic() + 5.0
+        heard = [publisher.has_subscribers for publisher in self._health.values()] + [self._status.has_subscribers]
+        while not all(is_heard() for is_heard in heard):
+            assert time.monotonic() < until, "nobody listens"
+            time.sleep(0.01)
+
     def say_health(self, name: str, status: HealthStatus = HEALTH_STATUS_OK, detail: str = "") -> None:
         health = Health(
             service=name, status=status, detail=detail, counters={"refused_stale": 3}, gauges={"rate_hz": 30.0}
