@@ -62,7 +62,7 @@ def publish(area: str, results: Sequence[Result]) -> None:
     """Writes ``results/{area}.json`` and prints the same as a table."""
     RESULTS.mkdir(exist_ok=True)
     file = RESULTS / f"{area}.json"
-    file.write_text(json.dumps([asdict(result) for result in results], indent=1) + "\n", encoding="utf-8")
+    file.write_text(json.dumps([_rounded(result) for result in results], indent=1) + "\n", encoding="utf-8")
     table = Table(title=f"bench: {area}")
     for column in ("figure", "value", "unit", "reference", "ratio", "bar", "holds"):
         table.add_column(column)
@@ -71,3 +71,8 @@ def publish(area: str, results: Sequence[Result]) -> None:
         holds = "" if r.holds is None else ("yes" if r.holds else "NO")
         table.add_row(r.name, f"{r.value:.4g}", r.unit, r.reference, ratio, r.bar, holds)
     Console(width=160).print(table)
+
+
+def _rounded(result: Result) -> dict[str, object]:
+    # more digits than a benchmark has only make its changes harder to read
+    return {key: float(f"{value:.4g}") if isinstance(value, float) else value for key, value in asdict(result).items()}
