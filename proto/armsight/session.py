@@ -7,6 +7,7 @@ import argparse
 import json
 import logging
 import os
+import re
 import resource
 import threading
 from dataclasses import dataclass
@@ -34,6 +35,9 @@ _DATA_LOW_QUEUE = 16
 
 _HINT_AFTER_ATTEMPTS = 4
 
+_WITH_PORT = ("tcp", "udp", "tls", "quic", "ws")
+"""Protocols whose address is a host and a port; what others want only Zenoh knows."""
+
 
 @dataclass(frozen=True, slots=True)
 class SessionConfig:
@@ -52,8 +56,7 @@ class SessionConfig:
     def __post_init__(self) -> None:
         """Refuses what Zenoh would refuse later and less clearly."""
         for endpoint in self.endpoints:
-            protocol, _, address = endpoint.partition("/")
-            if not protocol or not address:
+            if not _is_endpoint(endpoint):
                 raise ConfigError(f"endpoint {endpoint!r} is not of the form tcp/HOST:PORT")
         if any(
             part in ("", "*", "**") or set(part) & set("*$?#") for part in self.namespace.split("/") if self.namespace
@@ -91,7 +94,7 @@ def session_config(
     namespace = arguments.namespace or os.environ.get("ARMSIGHT_NAMESPACE")
     in_file = _read_file(file) if file else None
     if not connect and in_file is not None:
-        connect = json.loads(in_file.get_json("connect/endpoints")) or []
+        connect = _endpoints_in(in_file, file)
     if namespace is None and in_file is not None:
         namespace = json.loads(in_file.get_json("namespace"))
     return SessionConfig(
@@ -117,7 +120,7 @@ def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session 
             return zenoh.open(settings)
         except zenoh.ZError as error:
             if config.mode == "router":
-                raise ConfigError(f"can't listen on {', '.join(config.endpoints)}: {error}") from error
+                raise ConfigError(f"can't listen on {', '.join(config.endpoints)}: {_reason(error)}") from error
             if attempt % 20 == _HINT_AFTER_ATTEMPTS:
                 log.warning(
                     "no router at %s yet, still trying: start one with `armsight up` or `armsight router`; with TLS or "
@@ -137,7 +140,7 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
         try:
             settings.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
-            raise ConfigError(f"zenoh refuses {path} = {value!r}: {error}") from error
+            raise ConfigError(f"zenoh refuses {path} = {value!r}: {_reason(error)}") from error
 
     put("mode", config.mode)
     put("scouting/multicast/enabled", False)
@@ -191,7 +194,29 @@ def _read_file(file: Path) -> zenoh.Config:
     try:
         return zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:
-        raise ConfigError(f"{file} is not a Zenoh configuration: {error}") from error
+        raise ConfigError(f"{file} is not a Zenoh configuration: {_reason(error)}") from error
+
+
+def _endpoints_in(config: zenoh.Config, file: Path | None) -> list[str]:
+    endpoints = json.loads(config.get_json("connect/endpoints")) or []
+    if isinstance(endpoints, dict):  # one list for each mode
+        endpoints = endpoints.get("client") or []
+    if not isinstance(endpoints, list) or not all(isinstance(endpoint, str) for endpoint in endpoints):
+        raise ConfigError(f"{file}: connect/endpoints is not a list of endpoints such as {DEFAULT_ENDPOINT!r}")
+    return endpoints
+
+
+def _is_endpoint(text: str) -> bool:
+    protocol, _, address = text.partition("/")
+    if protocol not in _WITH_PORT:
+        return bool(protocol and address)
+    host, _, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
+    return bool(host) and bool(re.fullmatch(r"[0-9]{1,5}", port)) and 0 < int(port) < 65536
+
+
+def _reason(error: zenoh.ZError) -> str:
+    # where in Zenoh's sources it failed helps nobody who set an option
+    return re.sub(r" at \S+\.rs:[0-9]+\.?", "", str(error))
 
 
 def _path_from_environment(name: str) -> Path | None:

@@ -65,7 +65,36 @@ def test_flag_wins_over_environment_over_file_over_default(monkeypatch: pytest.M
     assert (from_flags.endpoints, from_flags.namespace) == (("tcp/h:4",), "robots/flag")
 
 
-@pytest.mark.parametrize("endpoint", ["localhost:7447", "tcp/", "", "/x"])
+def test_file_may_hold_a_list_of_endpoints_for_each_mode(tmp_path: Path) -> None:
+    path = tmp_path / "zenoh.json5"
+    path.write_text('{ connect: { endpoints: { router: ["tcp/r:1"], client: ["tcp/c:2"] } } }')
+    assert session_config(parse("--zenoh-config", str(path))).endpoints == ("tcp/c:2",)
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp/[::1]:7447", "tls/router.local:7447#so_sndbuf=1", "udp/h:1?rel=0", "unixsock-stream//tmp/armsight"],
+)
+def test_endpoints_of_every_kind_are_taken(endpoint: str) -> None:
+    assert SessionConfig(endpoints=(endpoint,)).endpoints == (endpoint,)
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "localhost:7447",
+        "tcp/",
+        "",
+        "/x",
+        "tcp/h",
+        "tcp/:1",
+        "tcp/h:",
+        "tcp/h:0",
+        "tcp/h:65536",
+        "tcp/h:²",
+        "tls/h:x#a=b",
+    ],
+)
 def test_endpoint_that_is_none_is_refused(endpoint: str) -> None:
     with pytest.raises(ConfigError, match="tcp/HOST:PORT"):
         SessionConfig(endpoints=(endpoint,))

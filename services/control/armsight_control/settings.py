@@ -4,6 +4,7 @@ import argparse
 from dataclasses import dataclass
 
 from armsight.service import add_service_arguments
+from armsight_control.errors import ControlError
 from armsight_control.modes import INITIAL_NAMES
 from armsight_control.solvers.problem import Options
 from armsight_control.solvers.start import INITIALISATIONS, Initialisation
@@ -20,6 +21,11 @@ class Settings:
     seed: int
     ik: Options
     motion: MotionLimits
+
+    def __post_init__(self) -> None:
+        """Refuses what can't work."""
+        if self.seed < 0:
+            raise ControlError(f"seed {self.seed} is below 0")
 
 
 def parser() -> argparse.ArgumentParser:

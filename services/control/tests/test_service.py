@@ -418,6 +418,7 @@ def test_health_has_rate_and_latency_and_it_ends_on_sigterm_at_once(rig: Rig) ->
     [
         (["--alpha", "0"], "alpha 0.0"),
         (["--speed", "2"], "speed 2.0"),
+        (["--seed", "-1"], "seed -1"),
         (["--solver", "newton"], "there are gradient-descent, closed-form"),
         (["--connect", "nonsense"], "tcp/HOST:PORT"),
         (["--max-steps", "0"], "0 steps"),

@@ -94,6 +94,12 @@ def test_target_is_published_and_followed(command: Command, arm: FakeArm, make_b
         (["mode", "joints"], "armsight move"),
         (["topics", "rate", "joints/nothing"], "no key"),
         (["topics", "echo", "camera/{name}/pose"], "put a name"),
+        (["target", "1", "2", "3", "--seconds", "nan"], "--seconds"),
+        (["mode", "test-1", "--start", "-1"], "--start"),
+        (["topics", "echo", "clock", "-n", "-1"], "--count"),
+        (["topics", "rate", "clock", "--seconds", "inf"], "--seconds"),
+        (["report", "--seed", "-1"], "--seed"),
+        (["report", "--samples", "3"], "--samples"),
         (["nonsense"], "nonsense"),
     ],
 )

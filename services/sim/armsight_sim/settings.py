@@ -43,6 +43,8 @@ class Settings:
             raise ConfigError(f"--ambient {self.ambient:g} is not within 0 to 1")
         if not 0.0 <= self.noise <= 50.0:
             raise ConfigError(f"--noise {self.noise:g} is not within 0 to 50 grey levels")
+        if self.seed < 0:
+            raise ConfigError(f"--seed {self.seed} is below 0")
 
 
 def parse_settings(arguments: argparse.Namespace) -> Settings:

@@ -19,6 +19,7 @@ EXECUTABLE = Path(sys.executable).parent / "armsight-sim"
         ["--ambient", "bright"],
         ["--ambient", "2"],
         ["--noise", "-1"],
+        ["--seed", "-1"],
         ["--start-time", "yesterday"],
         ["--start-time", "2024-05-01T12:00:00"],
         ["--start-time", "²"],

@@ -48,6 +48,17 @@ TEST_F(Environment, ValuesThatCannotWorkAreRefusedWithAReason) {
     EXPECT_THROW((void)parsed({"--no-such-flag"}), ConfigError);
 }
 
+TEST_F(Environment, EndpointsOfEveryKindAreTaken) {
+    for (const char* endpoint :
+         {"tcp/[::1]:7447", "tls/router.local:7447#so_sndbuf=1", "udp/h:1?rel=0", "unixsock-stream//tmp/armsight"}) {
+        EXPECT_NO_THROW(check_endpoint(endpoint)) << endpoint;
+    }
+    for (const char* endpoint : {"", "localhost:7447", "tcp/", "/x", "tcp/h", "tcp/:1", "tcp/h:", "tcp/h:0",
+                                 "tcp/h:65536", "tcp/h:99999", "tls/h:x#a=b"}) {
+        EXPECT_THROW(check_endpoint(endpoint), ConfigError) << endpoint;
+    }
+}
+
 TEST_F(Environment, SessionIsAClientWithTheDefaultsOfAllServices) {
     const zenoh::Config config = session_config(*parsed({}), true);
     EXPECT_EQ(config.get_json("mode"), "\"client\"");
@@ -139,6 +150,23 @@ TEST_F(ConfigurationFile, WinsOverDefaultsAndLosesToFlags) {
     EXPECT_EQ(flagged.get_json("connect/endpoints"), "[\"tcp/flag:2\"]");
     EXPECT_EQ(flagged.get_json("namespace"), "\"robots/flag\"");
     EXPECT_EQ(flagged.get_json("transport/shared_memory/enabled"), "false");
+}
+
+TEST_F(ConfigurationFile, MayHoldAListOfEndpointsForEachMode) {
+    write("{ connect: { endpoints: { router: ['tcp/r:1'], client: ['tcp/c:2'] } } }");
+    EXPECT_EQ(config().get_json("connect/endpoints"), "[\"tcp/c:2\"]");
+    write("{ connect: { endpoints: ['tcp/c:99999'] } }");
+    EXPECT_THROW((void)config(), ConfigError);
+}
+
+TEST_F(ConfigurationFile, WhatIsWrongIsToldWithoutZenohsSources) {
+    write("{ mode: ");
+    try {
+        (void)config();
+        FAIL() << "accepted";
+    } catch (const ConfigError& error) {
+        EXPECT_EQ(std::string(error.what()).find(".rs:"), std::string::npos) << error.what();
+    }
 }
 
 TEST_F(ConfigurationFile, ThatIsNoneIsAnErrorOfOurs) {

@@ -49,7 +49,7 @@ class Commands(TyperGroup):
         if not args or args[0] not in _LATER:
             return super().resolve_command(ctx, args)
         name = args[0]
-        alone = typer.Typer(add_completion=False)
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
         alone.command(name)(getattr(importlib.import_module(_LATER[name][0]), name))
         return name, get_command(alone), args[1:]
 
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except TyperException as error:  # the command line itself
         context = getattr(error, "ctx", None)
         where = context.command_path if context is not None else "armsight"
-        _fail(f"{error.format_message()} See `{where} --help`.", error.exit_code)
+        _fail(f"{error.format_message().rstrip('.')}; see `{where} --help`", error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         sys.exit(INTERRUPTED)
     except ArmsightError as error:

@@ -20,7 +20,7 @@ _ANSWER_S = 5.0
 
 def move(
     angles: Annotated[list[float], typer.Argument(help="One angle for each joint, in rad, from the base outwards.")],
-    wait: Annotated[float, typer.Option(help="Seconds to wait until the arm is there; 0: don't.")] = 0.0,
+    wait: Annotated[float, typer.Option(help="Seconds to wait until the arm is there; 0: don't.", min=0)] = 0.0,
     connect: Connect = None,
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
@@ -46,7 +46,7 @@ def target(
     y: Annotated[float, typer.Argument(help="Metres.")],
     z: Annotated[float, typer.Argument(help="Metres.")],
     frame: Annotated[str, typer.Option(help="base (joint 1's frame) or world.")] = "base",
-    seconds: Annotated[float, typer.Option(help="How long to publish it; 0: until Ctrl-C.")] = 1.0,
+    seconds: Annotated[float, typer.Option(help="Seconds to publish it; 0: until Ctrl-C.", min=0)] = 1.0,
     connect: Connect = None,
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
@@ -83,7 +83,7 @@ def target(
 
 def mode(
     name: Annotated[str | None, typer.Argument(help=f"One of {', '.join(MODES)}; left out: show it.")] = None,
-    start: Annotated[float, typer.Option(help="For the tests: where on their time axis to begin, s.")] = 0.0,
+    start: Annotated[float, typer.Option(help="For the tests: where on their time axis to begin, s.", min=0)] = 0.0,
     connect: Connect = None,
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,

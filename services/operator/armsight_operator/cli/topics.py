@@ -37,7 +37,7 @@ def list_topics() -> None:
 @app.command()
 def echo(
     key: Key,
-    count: Annotated[int, typer.Option("--count", "-n", help="End after so many messages; 0: never.")] = 0,
+    count: Annotated[int, typer.Option("--count", "-n", help="End after so many messages; 0: never.", min=0)] = 0,
     connect: Connect = None,
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
@@ -66,7 +66,7 @@ def echo(
 @app.command()
 def rate(
     key: Key,
-    seconds: Annotated[float, typer.Option(help="How long to count.")] = 3.0,
+    seconds: Annotated[float, typer.Option(help="Seconds to count.", min=0.1, max=3600)] = 3.0,
     connect: Connect = None,
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,

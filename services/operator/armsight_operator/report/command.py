@@ -32,8 +32,8 @@ def report(
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("report-out"),
     quick: Annotated[bool, typer.Option("--quick", help="8 s of each test instead of 60.")] = False,
     samples: Annotated[int, typer.Option(help="Samples a pixel: 0 or 4.")] = 4,
-    seed: Annotated[int, typer.Option(help="Of the random configurations and targets.")] = 1,
-    poses: Annotated[int, typer.Option(help="Random configurations of all joints to measure as well.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the random configurations and targets.", min=0)] = 1,
+    poses: Annotated[int, typer.Option(help="Random configurations of all joints to measure as well.", min=0)] = 0,
     attach: Annotated[
         bool, typer.Option("--attach", help="Measure the running stack (lockstep), not one of our own.")
     ] = False,

@@ -4,6 +4,7 @@
 
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <regex>
 #include <string>
 
 namespace armsight::vision::service {
@@ -23,6 +24,11 @@ bool has_capability(unsigned number) {
     return false;
 }
 
+// Where in Zenoh's sources it failed helps nobody who set an option.
+std::string reason(const zenoh::ZException& error) {
+    return std::regex_replace(std::string(error.what()), std::regex(" at \\S+\\.rs:[0-9]+\\.?"), "");
+}
+
 }  // namespace
 
 bool may_lock(std::uint64_t bytes) {
@@ -39,12 +45,14 @@ zenoh::Config session_config(const Settings& settings, bool shared_memory) {
         if (!settings.zenoh_config.empty()) {
             config = zenoh::Config::from_file(settings.zenoh_config);
             if (connect.empty()) {
-                const json endpoints = json::parse(config.get_json("connect/endpoints"));
-                if (endpoints.is_array()) connect = endpoints.get<std::vector<std::string>>();
+                json endpoints = json::parse(config.get_json("connect/endpoints"));
+                if (endpoints.is_object()) endpoints = endpoints.value("client", json());  // one list for each mode
+                if (!endpoints.is_null()) connect = endpoints.get<std::vector<std::string>>();
             }
             const json in_file = json::parse(config.get_json("namespace"));
             if (name_space.empty() && in_file.is_string()) name_space = in_file.get<std::string>();
         }
+        for (const std::string& endpoint : connect) check_endpoint(endpoint);
         if (connect.empty()) connect.emplace_back(kDefaultEndpoint);
         if (name_space.empty()) name_space = kDefaultNamespace;
         const auto put = [&](std::string_view path, const json& value) { config.insert_json5(path, value.dump()); };
@@ -61,7 +69,7 @@ zenoh::Config session_config(const Settings& settings, bool shared_memory) {
         put("transport/shared_memory/enabled", shared_memory);
         put("transport/shared_memory/transport_optimization/enabled", false);
     } catch (const zenoh::ZException& error) {
-        throw ConfigError(std::string("zenoh refuses the configuration: ") + error.what());
+        throw ConfigError("zenoh refuses the configuration: " + reason(error));
     } catch (const json::exception& error) {
         throw ConfigError(settings.zenoh_config + " has endpoints or a namespace of the wrong kind: " + error.what());
     }

@@ -1,8 +1,11 @@
 #include "service/settings.hpp"
 
 #include <CLI/CLI.hpp>
+#include <cstdint>
 #include <cstdlib>
 #include <iostream>
+#include <limits>
+#include <regex>
 #include <sstream>
 
 namespace armsight::vision::service {
@@ -22,13 +25,6 @@ std::vector<std::string> split(const std::string& text, char separator) {
     return parts;
 }
 
-void check_endpoint(const std::string& endpoint) {
-    const auto slash = endpoint.find('/');
-    if (slash == std::string::npos || slash == 0 || slash + 1 == endpoint.size()) {
-        throw ConfigError("endpoint '" + endpoint + "' is not of the form tcp/HOST:PORT");
-    }
-}
-
 void check_namespace(const std::string& name) {
     const bool has_empty_part = name.starts_with('/') || name.ends_with('/') || name.find("//") != std::string::npos;
     if (has_empty_part || name.find_first_of("*$?#") != std::string::npos) {
@@ -37,6 +33,19 @@ void check_namespace(const std::string& name) {
 }
 
 }  // namespace
+
+void check_endpoint(const std::string& endpoint) {
+    // protocols whose address is a host and a port; what others want only Zenoh knows
+    static const std::regex host_and_port("(tcp|udp|tls|quic|ws)/.+:([0-9]{1,5})([?#].*)?");
+    static const std::regex other("(?!(tcp|udp|tls|quic|ws)/)[^/]+/.+");
+    std::smatch match;
+    bool is_valid = std::regex_match(endpoint, other);
+    if (std::regex_match(endpoint, match, host_and_port)) {
+        const int port = std::stoi(match[2]);
+        is_valid = port > 0 && port <= std::numeric_limits<std::uint16_t>::max();
+    }
+    if (!is_valid) throw ConfigError("endpoint '" + endpoint + "' is not of the form tcp/HOST:PORT");
+}
 
 std::optional<Settings> parse_settings(int argc, const char* const* argv) {
     Settings settings;

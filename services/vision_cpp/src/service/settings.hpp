@@ -27,6 +27,9 @@ struct Settings {
     bool health = false;                ///< ask the running service whether it answers, and exit
 };
 
+/// Throws ConfigError where Zenoh would only try for ever.
+void check_endpoint(const std::string& endpoint);
+
 /// Parses the command line. Returns nothing when help was asked for and printed.
 /// Throws ConfigError with one line on what is wrong.
 [[nodiscard]] std::optional<Settings> parse_settings(int argc, const char* const* argv);
