@@ -106,7 +106,8 @@ struct Pipeline::State {
     [[nodiscard]] std::vector<View> views() const;
     [[nodiscard]] std::vector<Eigen::Vector3d> starts(std::size_t marker, std::int64_t capture_ns) const;
     [[nodiscard]] std::optional<Fix> fit(std::size_t marker, const Eigen::Vector3d& start, std::int64_t capture_ns);
-    [[nodiscard]] std::optional<Attempt> settle(std::size_t marker, Eigen::Vector3d position, std::int64_t capture_ns);
+    [[nodiscard]] std::optional<Attempt> settle(std::size_t marker, const Eigen::Vector3d& position,
+                                                std::int64_t capture_ns);
     [[nodiscard]] std::optional<Attempt> best_of(std::size_t marker, const std::vector<Sighting>& seen,
                                                  std::int64_t capture_ns);
     [[nodiscard]] std::optional<Attempt> without_one(std::size_t marker, const std::vector<Sighting>& seen,
@@ -233,7 +234,8 @@ Observation Pipeline::State::observe(const Sighting& sighting, double radius_m, 
 }
 
 // Looks where the marker would be, fits, and tells how far each view agrees with what comes out.
-std::optional<Attempt> Pipeline::State::settle(std::size_t marker, Eigen::Vector3d position, std::int64_t capture_ns) {
+std::optional<Attempt> Pipeline::State::settle(std::size_t marker, const Eigen::Vector3d& position,
+                                               std::int64_t capture_ns) {
     refine(marker, position);
     if (sightings.empty()) return std::nullopt;
     const auto fix = fit(marker, position, capture_ns);

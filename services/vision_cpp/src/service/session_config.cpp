@@ -26,7 +26,7 @@ bool has_capability(unsigned number) {
 
 // Where in Zenoh's sources it failed helps nobody who set an option.
 std::string reason(const zenoh::ZException& error) {
-    return std::regex_replace(std::string(error.what()), std::regex(" at \\S+\\.rs:[0-9]+\\.?"), "");
+    return std::regex_replace(std::string(error.what()), std::regex(R"( at \S+\.rs:[0-9]+\.?)"), "");
 }
 
 }  // namespace

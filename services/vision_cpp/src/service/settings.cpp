@@ -4,9 +4,9 @@
 #include <cstdint>
 #include <cstdlib>
 #include <iostream>
-#include <limits>
 #include <regex>
 #include <sstream>
+#include <utility>
 
 namespace armsight::vision::service {
 namespace {
@@ -42,7 +42,7 @@ void check_endpoint(const std::string& endpoint) {
     bool is_valid = std::regex_match(endpoint, other);
     if (std::regex_match(endpoint, match, host_and_port)) {
         const int port = std::stoi(match[2]);
-        is_valid = port > 0 && port <= std::numeric_limits<std::uint16_t>::max();
+        is_valid = port > 0 && std::in_range<std::uint16_t>(port);
     }
     if (!is_valid) throw ConfigError("endpoint '" + endpoint + "' is not of the form tcp/HOST:PORT");
 }
