@@ -11,6 +11,8 @@ BIN := $(VENV)/bin
 UV := $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python
 # TORCH=cpu takes torch's CPU build, a tenth of the default's size (uv knows where it is).
 TORCH ?=
+# Named after this folder: virtual environments and build trees do not survive being moved.
+INSTALLED := $(VENV)/.installed-in$(subst /,-,$(CURDIR))
 PYTEST_ARGS ?=
 
 .PHONY: help setup run test test-long lint format bench bench-vision bench-ik bench-loop lock clean vision system
@@ -18,23 +20,26 @@ PYTEST_ARGS ?=
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
-setup: system $(VENV)/.installed vision  ## install what is missing, build everything
+setup: system $(INSTALLED) vision  ## install what is missing, build everything
 
 system:
 	@tools/check-toolchain.sh
 	@tools/install-apt-packages.sh
 
 $(BIN)/uv:
-	python3 -m venv $(VENV)
-	$(BIN)/pip install --quiet uv
+	python3 -m venv --clear $(VENV)
+	$(BIN)/python -m pip install --quiet uv
 
-$(VENV)/.installed: $(BIN)/uv requirements.txt $(PYTHON_PACKAGES:=/pyproject.toml) $(wildcard proto/armsight/v1/*.proto)
+$(INSTALLED): requirements.txt $(PYTHON_PACKAGES:=/pyproject.toml) $(wildcard proto/armsight/v1/*.proto)
+	@[ -f $@ ] || rm -rf $(VENV)
+	@$(MAKE) $(BIN)/uv
 	@echo "installing Python packages into $(VENV)"
 	$(UV) $(if $(TORCH),--torch-backend $(TORCH)) -r requirements.txt
 	$(UV) --no-deps --no-build-isolation --reinstall $(addprefix -e ,$(PYTHON_PACKAGES))
 	@touch $@
 
-vision: $(VENV)/.installed
+vision: $(INSTALLED)
+	@grep -qsx 'CMAKE_HOME_DIRECTORY:INTERNAL=$(CURDIR)/services/vision_cpp' build/vision/CMakeCache.txt || rm -f build/vision/{CMakeCache.txt,build.ninja}
 	@[ -f build/vision/build.ninja ] || cmake -S services/vision_cpp -B build/vision -G Ninja -DCMAKE_BUILD_TYPE=Release
 	@cmake --build build/vision
 
