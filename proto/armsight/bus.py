@@ -62,7 +62,7 @@ class Publisher(Generic[M]):
 
     def has_subscribers(self) -> bool:
         """Whether anybody listens now; always true for latched values."""
-        return not isinstance(self._inner, zenoh.Publisher) or bool(self._inner.matching_status)
+        return not isinstance(self._inner, zenoh.Publisher) or self._inner.matching_status.matching
 
 
 class Subscriber(Generic[M]):

@@ -63,16 +63,32 @@ def test_malformed_bytes_are_counted_and_the_next_message_still_arrives(two_buse
 def test_another_schema_on_a_key_is_refused_though_its_bytes_would_parse(two_buses: Buses) -> None:
     here, there = two_buses
     subscriber = there.subscriber(topics.STOP_STATE)
-    here.session.put("safety/stop", b"", encoding="application/protobuf;armsight.v1.Clock")
+    publisher = here.session.declare_publisher("safety/stop", encoding="application/protobuf;armsight.v1.Clock")
+    assert eventually(lambda: publisher.matching_status.matching)
+    publisher.put(b"")
     assert eventually(lambda: there.counters.snapshot().get("malformed_stop_state") == 1)
     assert subscriber.latest is None
+
+
+def test_publisher_knows_whether_anybody_listens(two_buses: Buses) -> None:
+    here, there = two_buses
+    publisher = here.publisher(topics.JOINT_POSITIONS)
+    assert not publisher.has_subscribers()
+    subscriber = there.subscriber(topics.JOINT_POSITIONS)
+    assert eventually(publisher.has_subscribers)
+    subscriber.close()
+    assert eventually(lambda: not publisher.has_subscribers())
 
 
 def test_late_subscriber_gets_the_last_latched_value_only(two_buses: Buses) -> None:
     here, there = two_buses
     publisher = here.publisher(topics.STOP_STATE)
+    # Both values must have crossed the router before the late one joins: it would rightly get one still on its way.
+    witness = there.subscriber(topics.STOP_STATE)
     publisher.put(StopState(stopped=True))
     publisher.put(StopState(stopped=False))
+    assert eventually(lambda: witness.latest is not None and not witness.latest.message.stopped)
+    witness.close()
     subscriber = there.subscriber(topics.STOP_STATE)
     received = subscriber.recv(2.0)
     assert received is not None
@@ -140,6 +156,8 @@ def test_query_is_answered_refused_or_unanswered_with_a_reason(two_buses: Buses)
         return SetModeResponse(mode=request.mode)
 
     here.serve(topics.MODE, answer)
+    querier = there.session.declare_querier("control/mode")
+    assert eventually(lambda: querier.matching_status.matching)
     assert there.query(topics.MODE, SetModeRequest(mode=CONTROL_MODE_HOLD)).mode == CONTROL_MODE_HOLD
     with pytest.raises(RefusedError, match="must not be negative"):
         there.query(topics.MODE, SetModeRequest(start_s=-1))
