@@ -62,7 +62,10 @@ class Publisher(Generic[M]):
 
     def has_subscribers(self) -> bool:
         """Whether anybody listens now; always true for latched values."""
-        return not isinstance(self._inner, zenoh.Publisher) or self._inner.matching_status.matching
+        if not isinstance(self._inner, zenoh.Publisher):
+            return True
+        status: Any = self._inner.matching_status  # an object, always true, though Zenoh's stubs say bool
+        return bool(status.matching)
 
 
 class Subscriber(Generic[M]):
