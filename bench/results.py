@@ -28,9 +28,15 @@ class Result:
     holds: bool | None
 
 
-def compare(name: str, value: float, unit: str, reference: str, reference_value: float) -> Result:
-    """A figure beside a reference, nothing promised."""
-    return Result(name, value, unit, reference, value / reference_value, "", None)
+def compare(
+    name: str, value: float, unit: str, reference: str, reference_value: float, *, most: float | None = None
+) -> Result:
+    """A figure beside a reference; ``most`` is what was promised of their ratio, if anything was."""
+    ratio = value / reference_value
+    if most is None:
+        return Result(name, value, unit, reference, ratio, "", None)
+    text = f"<= {most:g} x" if most >= 1 else f"<= 1/{1 / most:g}"
+    return Result(name, value, unit, reference, ratio, text, ratio <= most)
 
 
 def at_most(name: str, value: float, unit: str, bar: float) -> Result:
@@ -67,7 +73,7 @@ def publish(area: str, results: Sequence[Result]) -> None:
     for column in ("figure", "value", "unit", "reference", "ratio", "bar", "holds"):
         table.add_column(column)
     for r in results:
-        ratio = "" if r.ratio is None else f"{r.ratio:.2f}"
+        ratio = "" if r.ratio is None else f"{r.ratio:.2f}" if r.ratio >= 0.1 else f"1/{1 / r.ratio:.0f}"
         holds = "" if r.holds is None else ("yes" if r.holds else "NO")
         table.add_row(r.name, f"{r.value:.4g}", r.unit, r.reference, ratio, r.bar, holds)
     Console(width=160).print(table)

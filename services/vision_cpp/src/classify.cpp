@@ -8,6 +8,8 @@
 #include <numbers>
 #include <stdexcept>
 
+#include "scan.hpp"
+
 namespace armsight::vision {
 namespace {
 
@@ -21,11 +23,6 @@ constexpr double kSaturationShare = 0.3;
 constexpr double kHueHalfWidth = 20.0 * std::numbers::pi / 180.0;
 constexpr double kMinHueDistance = 12.0 * std::numbers::pi / 180.0;
 constexpr double kMinSaturation = 0.15;  // of a marker's colour: chroma divided by the sum of its channels
-
-// |R - G| and |G - B| of a pixel whose chroma reaches the floor cannot both be this small:
-// chroma^2 = ((R-G)^2 + (G-B)^2 + (B-R)^2) / 3 <= 2 t^2 = 162 < 14^2.
-constexpr int kNeutralDifference = 9;
-constexpr int kBlock = 32;  // pixels that are skipped together
 
 struct Hue {
     Eigen::Vector3d direction;  // unit, perpendicular to grey
@@ -48,79 +45,30 @@ Hue hue_of(const MarkerModel& marker) {
 
 double angle_between(double a, double b) { return std::abs(std::remainder(a - b, 2.0 * std::numbers::pi)); }
 
-ColorCone::Plane plane(const Eigen::Vector3d& normal) {
-    const auto unit = [&](int i) { return static_cast<int>(std::lround(normal[i] * ColorCone::kUnit)); };
-    return {unit(0), unit(1), unit(2)};
-}
-
-// True when no pixel of a full block can have chroma above the floor. Compares neighbouring bytes, so that compilers
-// turn it into wide byte instructions; differences across pixels are masked out.
-template <int PixelSize>
-bool block_is_neutral(const std::uint8_t* p) {
-    constexpr auto kMask = [] {
-        std::array<std::uint8_t, static_cast<std::size_t>(kBlock * PixelSize)> mask{};
-        for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = i % PixelSize < 2 ? 255 : 0;
-        return mask;
-    }();
-    std::uint8_t largest = 0;
-    for (std::size_t i = 0; i + 1 < kMask.size(); ++i) {
-        const std::uint8_t high = std::max(p[i], p[i + 1]);
-        const std::uint8_t low = std::min(p[i], p[i + 1]);
-        const auto difference = static_cast<std::uint8_t>(static_cast<unsigned>(high - low) & kMask[i]);
-        largest = std::max(largest, difference);
-    }
-    return largest <= kNeutralDifference;
-}
-
-class Scanner {
-  public:
-    Scanner(const ImageView& image, std::span<const ColorCone> cones, std::vector<MarkerMask>& masks)
-        : image_(image), cones_(cones), masks_(masks), layout_(layout(image.format)) {}
-
-    template <int PixelSize>
-    void scan() {
-        for (int y = 0; y < image_.height; ++y) {
-            const std::uint8_t* row = image_.row(y);
-            int x = 0;
-            for (; x + kBlock <= image_.width; x += kBlock) {
-                if (!block_is_neutral<PixelSize>(row + std::ptrdiff_t{x} * PixelSize))
-                    scan_pixels<PixelSize>(row, y, x, x + kBlock);
-            }
-            scan_pixels<PixelSize>(row, y, x, image_.width);
-        }
-    }
-
-  private:
-    template <int PixelSize>
-    void scan_pixels(const std::uint8_t* row, int y, int begin, int end) {
-        for (int x = begin; x < end; ++x) {
-            const std::uint8_t* p = row + std::ptrdiff_t{x} * PixelSize;
-            const int red = p[layout_.red];
-            const int green = p[layout_.green];
-            const int blue = p[layout_.blue];
-            if (std::abs(red - green) <= kNeutralDifference && std::abs(green - blue) <= kNeutralDifference) continue;
-            for (std::size_t i = 0; i < cones_.size(); ++i) {
-                if (cones_[i].contains(red, green, blue)) {
-                    append(masks_[i].runs, y, x);
-                    break;
-                }
-            }
-        }
-    }
-
-    static void append(std::vector<Run>& runs, int y, int x) {
-        if (!runs.empty() && runs.back().y == y && runs.back().x1 == x) {
-            ++runs.back().x1;
-        } else if (runs.size() < kMaxRuns) {
-            runs.push_back({.y = y, .x0 = x, .x1 = x + 1, .component = -1});
-        }
-    }
-
-    const ImageView& image_;
-    std::span<const ColorCone> cones_;
-    std::vector<MarkerMask>& masks_;
-    PixelLayout layout_;
+// The same plane with coefficients that fit, and what one unit of the normal's length has become.
+struct Scaled {
+    ColorCone::Plane plane;
+    double scale;
 };
+
+Scaled scaled(const Eigen::Vector3d& normal) {
+    const double scale = ColorCone::kUnit / normal.lpNorm<1>();
+    const auto unit = [&](int i) { return static_cast<std::int16_t>(std::lround(normal[i] * scale)); };
+    return {.plane = {unit(0), unit(1), unit(2)}, .scale = scale};
+}
+
+// A pixel whose largest channel is `difference` above its least one, level l, gives hue . (l + differences): no more
+// than the level's part, which is rounding, and the positive coefficients' times the difference.
+int neutral_difference(const ColorCone::Plane& hue, int floor) {
+    int sum = 0;
+    int positive = 0;
+    for (const int coefficient : hue) {
+        sum += coefficient;
+        positive += std::max(coefficient, 0);
+    }
+    const int of_level = std::max(sum, 0) * 255;
+    return std::clamp((floor - 1 - of_level) / std::max(positive, 1), 0, 255);
+}
 
 int root_of(std::vector<Run>& runs, int run) {
     // `component` holds the parent run until components are numbered; path halving keeps it short
@@ -202,11 +150,15 @@ std::vector<ColorCone> color_cones(std::span<const MarkerModel> markers) {
         const Eigen::Vector3d across = grey.cross(h);
         const double s = std::sin(half_width);
         const double c = std::cos(half_width);
-        cones.push_back({.hue = plane(h),
-                         .floor = static_cast<int>(std::lround(kChromaFloor * ColorCone::kUnit)),
-                         .saturation = plane(h - Eigen::Vector3d::Constant(kSaturationShare * hues[i].saturation)),
-                         .left = plane(s * h + c * across),
-                         .right = plane(s * h - c * across)});
+        const Scaled hue = scaled(h);
+        const int floor = static_cast<int>(std::lround(kChromaFloor * hue.scale));
+        cones.push_back(
+            {.hue = hue.plane,
+             .floor = floor,
+             .saturation = scaled(h - Eigen::Vector3d::Constant(kSaturationShare * hues[i].saturation)).plane,
+             .left = scaled(s * h + c * across).plane,
+             .right = scaled(s * h - c * across).plane,
+             .neutral = neutral_difference(hue.plane, floor)});
     }
     return cones;
 }
@@ -214,12 +166,7 @@ std::vector<ColorCone> color_cones(std::span<const MarkerModel> markers) {
 void classify(const ImageView& image, std::span<const ColorCone> cones, std::vector<MarkerMask>& masks) {
     masks.resize(cones.size());
     for (MarkerMask& mask : masks) mask.runs.clear();
-    Scanner scanner(image, cones, masks);
-    if (layout(image.format).size == 4) {
-        scanner.scan<4>();
-    } else {
-        scanner.scan<3>();
-    }
+    scan(image, cones, masks);
     for (MarkerMask& mask : masks) find_components(mask);
 }
 

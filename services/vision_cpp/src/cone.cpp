@@ -67,8 +67,7 @@ std::optional<Cone> from_normal(const Eigen::Vector3d& m) {
 }
 
 double residual_px(const Cone& cone, const EdgePoint& point) {
-    const double angle = std::atan2(point.ray.cross(cone.axis).norm(), point.ray.dot(cone.axis));
-    return (angle - cone.half_angle) * point.pixels_per_radian;
+    return vision::residual_px(point, cone.axis, cone.half_angle);
 }
 
 // Least squares over the points within `tolerance_px` of `guess`, or over all.
@@ -106,6 +105,21 @@ bool is_better(const Cone& a, const Cone& b) {
     return a.inliers > b.inliers || (a.inliers == b.inliers && a.residual_px < b.residual_px);
 }
 
+// Least squares over the points that agree, until they stay the same.
+std::optional<Cone> polished(std::span<const EdgePoint> points, const Frame& frame, Cone best,
+                             const ConeOptions& options) {
+    score(best, points, options.tolerance_px);
+    for (int i = 0; i < kRefits; ++i) {
+        auto refit = solve(points, frame, &best, options.tolerance_px);
+        if (!refit) break;
+        score(*refit, points, options.tolerance_px);
+        if (refit->inliers < best.inliers) break;
+        best = *refit;
+    }
+    if (best.inliers < options.min_inliers) return std::nullopt;
+    return best;
+}
+
 }  // namespace
 
 std::optional<Cone> fit_cone(std::span<const EdgePoint> points, const ConeOptions& options) {
@@ -129,15 +143,12 @@ std::optional<Cone> fit_cone(std::span<const EdgePoint> points, const ConeOption
         if (!best || is_better(*cone, *best)) best = cone;
     }
     if (!best) return std::nullopt;
-    for (int i = 0; i < kRefits; ++i) {
-        auto refit = solve(points, frame, &*best, options.tolerance_px);
-        if (!refit) break;
-        score(*refit, points, options.tolerance_px);
-        if (refit->inliers < best->inliers) break;
-        best = refit;
-    }
-    if (best->inliers < options.min_inliers) return std::nullopt;
-    return best;
+    return polished(points, frame, *best, options);
+}
+
+std::optional<Cone> refine_cone(std::span<const EdgePoint> points, const Cone& known, const ConeOptions& options) {
+    if (points.size() < 3) return std::nullopt;
+    return polished(points, Frame(points), known, options);
 }
 
 }  // namespace armsight::vision

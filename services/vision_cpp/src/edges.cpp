@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
+#include <ranges>
 
 namespace armsight::vision {
 namespace {
@@ -93,31 +95,52 @@ bool reaches(const Component& component, const Disc& disc) {
            (component.centroid() - disc.centre).norm() < kReach * disc.radius;
 }
 
-void collect(const ImageView& image, const MarkerMask& mask, const Disc& disc, EdgeScratch& scratch, Outline& outline) {
-    constexpr EdgeScratch::Extent kEmpty{.first = 1, .last = 0};
-    scratch.rows.assign(static_cast<std::size_t>(image.height), kEmpty);
-    scratch.columns.assign(static_cast<std::size_t>(image.width), kEmpty);
+// Bounds of what belongs to a marker; half open, empty at first.
+struct Box {
+    int x0 = std::numeric_limits<int>::max(), y0 = std::numeric_limits<int>::max();
+    int x1 = 0, y1 = 0;
+
+    void add(const Component& c) {
+        x0 = std::min(x0, c.x0);
+        y0 = std::min(y0, c.y0);
+        x1 = std::max(x1, c.x1);
+        y1 = std::max(y1, c.y1);
+    }
+};
+
+void extend(EdgeScratch::Extent& extent, int first, int last) {
+    if (extent.first > extent.last) {
+        extent = {.first = first, .last = last};
+    } else {
+        extent.first = std::min(extent.first, first);
+        extent.last = std::max(extent.last, last);
+    }
+}
+
+Box collect(const MarkerMask& mask, const Disc& disc, EdgeScratch& scratch, Outline& outline) {
+    Box box;
     outline.area = 0;
     Eigen::Vector2d sum = Eigen::Vector2d::Zero();
-    const auto extend = [](EdgeScratch::Extent& extent, int first, int last) {
-        if (extent.first > extent.last) {
-            extent = {.first = first, .last = last};
-        } else {
-            extent.first = std::min(extent.first, first);
-            extent.last = std::max(extent.last, last);
-        }
-    };
     for (const Component& component : mask.components) {
         if (!reaches(component, disc)) continue;
         outline.area += component.area;
         sum += static_cast<double>(component.area) * component.centroid();
+        box.add(component);
     }
     outline.centroid = outline.area > 0 ? Eigen::Vector2d(sum / static_cast<double>(outline.area)) : disc.centre;
-    for (const Run& run : mask.runs) {
+    if (outline.area == 0) return {.x0 = 0, .y0 = 0};
+    constexpr EdgeScratch::Extent kEmpty{.first = 1, .last = 0};
+    scratch.rows.assign(static_cast<std::size_t>(box.y1 - box.y0), kEmpty);
+    scratch.columns.assign(static_cast<std::size_t>(box.x1 - box.x0), kEmpty);
+    const auto first = std::ranges::lower_bound(mask.runs, box.y0, {}, &Run::y);
+    const auto last = std::ranges::lower_bound(first, mask.runs.end(), box.y1, {}, &Run::y);
+    for (const Run& run : std::ranges::subrange(first, last)) {
         if (!reaches(mask.components[static_cast<std::size_t>(run.component)], disc)) continue;
-        extend(scratch.rows[static_cast<std::size_t>(run.y)], run.x0, run.x1 - 1);
-        for (int x = run.x0; x < run.x1; ++x) extend(scratch.columns[static_cast<std::size_t>(x)], run.y, run.y);
+        extend(scratch.rows[static_cast<std::size_t>(run.y - box.y0)], run.x0, run.x1 - 1);
+        for (int x = run.x0; x < run.x1; ++x)
+            extend(scratch.columns[static_cast<std::size_t>(x - box.x0)], run.y, run.y);
     }
+    return box;
 }
 
 }  // namespace
@@ -137,7 +160,7 @@ std::optional<Mix> unmix(const Eigen::Vector3d& pixel, const Eigen::Vector3d& fo
 void find_edges(const ImageView& image, const Camera& camera, const ColorCone& cone, const MarkerMask& mask,
                 const Disc& expected, EdgeScratch& scratch, Outline& outline) {
     outline.points.clear();
-    collect(image, mask, expected, scratch, outline);
+    const Box box = collect(mask, expected, scratch, outline);
     const EdgeFinder finder(image, cone);
 
     // A row's coverage is the mean over its height; the outline's curvature puts that mean inside of the outline at
@@ -164,14 +187,14 @@ void find_edges(const ImageView& image, const Camera& camera, const ColorCone& c
         const double offset = *found - 1.5 + curvature_shift(along);
         add(x + 0.5 + offset * outward.dx, y + 0.5 + offset * outward.dy);
     };
-    for (int y = 0; y < image.height; ++y) {
-        const auto [first, last] = scratch.rows[static_cast<std::size_t>(y)];
+    for (int y = box.y0; y < box.y1; ++y) {
+        const auto [first, last] = scratch.rows[static_cast<std::size_t>(y - box.y0)];
         if (first > last) continue;
         end(first, y, {.dx = -1, .dy = 0});
         end(last, y, {.dx = 1, .dy = 0});
     }
-    for (int x = 0; x < image.width; ++x) {
-        const auto [first, last] = scratch.columns[static_cast<std::size_t>(x)];
+    for (int x = box.x0; x < box.x1; ++x) {
+        const auto [first, last] = scratch.columns[static_cast<std::size_t>(x - box.x0)];
         if (first > last) continue;
         end(x, first, {.dx = 0, .dy = -1});
         end(x, last, {.dx = 0, .dy = 1});

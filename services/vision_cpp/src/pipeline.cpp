@@ -6,7 +6,6 @@
 #include <numbers>
 #include <utility>
 
-#include "armsight/vision/classify.hpp"
 #include "armsight/vision/cone.hpp"
 #include "armsight/vision/edges.hpp"
 #include "armsight/vision/track.hpp"
@@ -24,6 +23,8 @@ constexpr double kWholeVisible = 0.95;
 // A view whose edge points do not lie on the fitted outline saw something else.
 constexpr double kAgreementPx = 1.0;
 constexpr double kMinAgreement = 0.4;
+// From here on nothing better is looked for: outlines without an occluder give nearly 1.
+constexpr double kSureAgreement = 0.8;
 // Middle of a mask without a usable outline, in radii: exact but for shading where all of the disc is seen, nearly a
 // radius off where only a sliver of it is.
 constexpr double kCentreSigmaSeen = 0.05;
@@ -90,6 +91,7 @@ bool is_measurable(const CameraFrame& frame) {
 }
 
 struct Pipeline::State {
+    Classifier classifier;
     std::vector<MarkerModel> markers;
     std::vector<ColorCone> cones;
     std::vector<Track> tracks;
@@ -102,12 +104,14 @@ struct Pipeline::State {
     std::vector<MarkerEstimate> answer;
 
     void look(std::size_t marker);
+    void look_closely(std::size_t marker);
     void refine(std::size_t marker, const Eigen::Vector3d& position);
     [[nodiscard]] std::vector<View> views() const;
     [[nodiscard]] std::vector<Eigen::Vector3d> starts(std::size_t marker, std::int64_t capture_ns) const;
     [[nodiscard]] std::optional<Fix> fit(std::size_t marker, const Eigen::Vector3d& start, std::int64_t capture_ns);
     [[nodiscard]] std::optional<Attempt> settle(std::size_t marker, const Eigen::Vector3d& position,
                                                 std::int64_t capture_ns);
+    [[nodiscard]] std::optional<Attempt> at_once(std::size_t marker, std::int64_t capture_ns);
     [[nodiscard]] std::optional<Attempt> best_of(std::size_t marker, const std::vector<Sighting>& seen,
                                                  std::int64_t capture_ns);
     [[nodiscard]] std::optional<Attempt> without_one(std::size_t marker, const std::vector<Sighting>& seen,
@@ -117,13 +121,12 @@ struct Pipeline::State {
     [[nodiscard]] MarkerEstimate estimate(std::size_t marker, std::int64_t capture_ns);
 };
 
-// First look: the largest patch of the colour in each frame, and the cone through its outline.
+// First look: the largest patch of the colour in each frame.
 void Pipeline::State::look(std::size_t marker) {
     sightings.clear();
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const Component* component = largest(masks[i][marker]);
         if (component == nullptr) continue;
-        const Camera& camera = *frames[i].camera;
         // of a part of the disc: its extent is nearer to the truth than its area
         const double extent = 0.5 * std::max(component->x1 - component->x0, component->y1 - component->y0);
         const double from_area = std::sqrt(static_cast<double>(component->area) / std::numbers::pi);
@@ -132,16 +135,25 @@ void Pipeline::State::look(std::size_t marker) {
                           .cone = std::nullopt,
                           .disc = {.centre = component->centroid(), .radius = std::max(extent, from_area)},
                           .centre = {}};
-        for (int pass = 0; pass < 2; ++pass) {
-            find_edges(frames[i].image, camera, cones[marker], masks[i][marker], sighting.disc, scratch,
-                       sighting.outline);
-            sighting.cone = fit_cone(sighting.outline.points);
-            if (!sighting.cone) break;
-            sighting.disc = disc_of(camera, sighting.cone->axis, sighting.cone->half_angle, sighting.disc);
-        }
-        sighting.centre = ray(camera, sighting.disc.centre.x(), sighting.disc.centre.y());
-        sighting.has_outline = sighting.cone.has_value();
+        sighting.centre = ray(*frames[i].camera, sighting.disc.centre.x(), sighting.disc.centre.y());
         sightings.push_back(std::move(sighting));
+    }
+}
+
+// A closer one: the cone through each patch's outline, without knowing what belongs to it.
+void Pipeline::State::look_closely(std::size_t marker) {
+    for (Sighting& sighting : sightings) {
+        const CameraFrame& frame = frames[sighting.frame];
+        for (int pass = 0; pass < 2; ++pass) {
+            find_edges(frame.image, *frame.camera, cones[marker], masks[sighting.frame][marker], sighting.disc, scratch,
+                       sighting.outline);
+            const auto cone = fit_cone(sighting.outline.points);
+            sighting.cone = cone;
+            if (!cone) break;
+            sighting.disc = disc_of(*frame.camera, cone->axis, cone->half_angle, sighting.disc);
+        }
+        sighting.centre = ray(*frame.camera, sighting.disc.centre.x(), sighting.disc.centre.y());
+        sighting.has_outline = sighting.cone.has_value();
     }
 }
 
@@ -152,7 +164,7 @@ void Pipeline::State::refine(std::size_t marker, const Eigen::Vector3d& position
         sighting.disc = disc_of(*frame.camera, position, markers[marker].radius);
         find_edges(frame.image, *frame.camera, cones[marker], masks[sighting.frame][marker], sighting.disc, scratch,
                    sighting.outline);
-        sighting.cone = fit_cone(sighting.outline.points);
+        sighting.cone.reset();
         sighting.has_outline = sighting.outline.points.size() >= static_cast<std::size_t>(kMinInliersTracked) / 2;
         sighting.centre = ray(*frame.camera, sighting.outline.centroid.x(), sighting.outline.centroid.y());
     }
@@ -221,8 +233,14 @@ std::optional<Fix> Pipeline::State::fit(std::size_t marker, const Eigen::Vector3
 Observation Pipeline::State::observe(const Sighting& sighting, double radius_m, const Eigen::Vector3d& position) const {
     const Camera& camera = *frames[sighting.frame].camera;
     const Disc disc = disc_of(camera, position, radius_m);
-    const auto own = sighting.cone ? project(camera, sighting.cone->axis) : std::nullopt;
-    const Eigen::Vector2d centre = own.value_or(sighting.outline.centroid);
+    const Eigen::Vector3d c = camera.T_world_camera.inverse() * position;
+    const Cone joint{.axis = c.normalized(),
+                     .half_angle = std::asin(std::min(1.0, radius_m / c.norm())),
+                     .inliers = 0,
+                     .residual_px = 0.0};
+    const auto own = refine_cone(sighting.outline.points, joint);
+    const auto seen = own ? project(camera, own->axis) : std::nullopt;
+    const Eigen::Vector2d centre = seen.value_or(sighting.outline.centroid);
     const auto area = static_cast<double>(sighting.outline.area);
     const double whole = std::numbers::pi * std::max(disc.radius * disc.radius, 1.0);
     return {.camera = camera.name,
@@ -255,6 +273,21 @@ std::optional<Attempt> Pipeline::State::settle(std::size_t marker, const Eigen::
             result.worst = i;
         }
     }
+    return result;
+}
+
+// The usual case, and the quick one: where the middles of all patches meet, the sphere's outline is seen in all views.
+std::optional<Attempt> Pipeline::State::at_once(std::size_t marker, std::int64_t capture_ns) {
+    const std::size_t views_seen = sightings.size();
+    std::vector<Ray> rays;
+    rays.reserve(views_seen);
+    for (const Sighting& s : sightings) rays.push_back(world_ray(*frames[s.frame].camera, s.centre));
+    const auto middle = triangulate(rays);
+    if (!middle) return std::nullopt;
+    auto rough = settle(marker, *middle, capture_ns);
+    if (!rough || sightings.size() < views_seen) return std::nullopt;
+    auto result = settle(marker, rough->fix.position, capture_ns);
+    if (!result || result->agreement < kSureAgreement || sightings.size() < views_seen) return std::nullopt;
     return result;
 }
 
@@ -295,6 +328,10 @@ std::optional<Attempt> Pipeline::State::without_one(std::size_t marker, const st
 std::optional<Fix> Pipeline::State::locate(std::size_t marker, std::int64_t capture_ns) {
     look(marker);
     std::vector<Sighting> seen = sightings;
+    if (const auto sure = at_once(marker, capture_ns)) return sure->fix;
+    sightings = seen;
+    look_closely(marker);
+    seen = sightings;
     while (!seen.empty()) {
         auto best = best_of(marker, seen, capture_ns);
         if (!best || !best->is_agreed()) {
@@ -344,7 +381,8 @@ MarkerEstimate Pipeline::State::estimate(std::size_t marker, std::int64_t captur
     return result;
 }
 
-Pipeline::Pipeline(std::vector<MarkerModel> markers) : state_(std::make_unique<State>()) {
+Pipeline::Pipeline(std::vector<MarkerModel> markers, Classifier classifier) : state_(std::make_unique<State>()) {
+    state_->classifier = std::move(classifier);
     state_->cones = color_cones(markers);
     state_->tracks.resize(markers.size());
     state_->markers = std::move(markers);
@@ -362,7 +400,8 @@ std::vector<MarkerEstimate> Pipeline::process(std::int64_t capture_ns, std::span
     state.frames.clear();
     std::ranges::copy_if(frames, std::back_inserter(state.frames), is_measurable);
     state.masks.resize(state.frames.size());
-    for (std::size_t i = 0; i < state.frames.size(); ++i) classify(state.frames[i].image, state.cones, state.masks[i]);
+    for (std::size_t i = 0; i < state.frames.size(); ++i)
+        state.classifier(state.frames[i].image, state.cones, state.masks[i]);
 
     state.answer.clear();
     for (std::size_t i = 0; i < state.markers.size(); ++i) state.answer.push_back(state.estimate(i, capture_ns));

@@ -21,11 +21,6 @@ constexpr double kStartSigmaPx = 0.5;  // before the spread is known
 constexpr double kCorrelation = 3.0;
 constexpr double kMaxConditionedVariance = 1e4;  // m^2; beyond it the position is not determined
 
-double residual_px(const EdgePoint& point, const Eigen::Vector3d& axis, double half_angle) {
-    const double angle = std::atan2(point.ray.cross(axis).norm(), point.ray.dot(axis));
-    return (angle - half_angle) * point.pixels_per_radian;
-}
-
 double median(std::vector<double>& values) {
     const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
     std::nth_element(values.begin(), middle, values.end());
@@ -73,7 +68,7 @@ void add_view(const View& view, double radius, const Eigen::Vector3d& position, 
         const double t = r / cutoff;
         const double weight = (1.0 - t * t) * (1.0 - t * t) / (sigma_px * sigma_px);
         const double cos_angle = point.ray.dot(sight.axis);
-        const double sin_angle = point.ray.cross(sight.axis).norm();
+        const double sin_angle = std::sqrt(std::max(0.0, 1.0 - cos_angle * cos_angle));
         // d angle / d centre is across the axis, towards the ray and shrinking; d half_angle / d centre along the axis
         const Eigen::Vector3d across =
             -(point.ray - cos_angle * sight.axis) / (sight.distance * std::max(sin_angle, 1e-9));

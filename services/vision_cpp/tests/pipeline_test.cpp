@@ -10,6 +10,7 @@
 #include <stdexcept>
 #include <string>
 
+#include "armsight/vision/opencv_classify.hpp"
 #include "scene.hpp"
 
 namespace armsight::vision {
@@ -55,6 +56,23 @@ struct Rig {
 
 double error(const MarkerEstimate& estimate, const Scene& scene, std::size_t marker) {
     return estimate.position ? (*estimate.position - scene.spheres[marker].centre).norm() : 1e9;
+}
+
+TEST(Pipeline, OpenCvAsBackendGivesTheSameToTheLastBit) {
+    const Scene scene = arm();
+    Rig ours;
+    Rig theirs{.pipeline = Pipeline(testing::arm_markers(),
+                                    [](const ImageView& image, std::span<const ColorCone> cones,
+                                       std::vector<MarkerMask>& masks) { classify_opencv(image, cones, masks); })};
+    const auto expected = ours.look(scene, kFrame, 4.0);
+    const auto found = theirs.look(scene, kFrame, 4.0);
+    ASSERT_EQ(found.size(), expected.size());
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        ASSERT_TRUE(found[i].position && expected[i].position);
+        EXPECT_EQ(*found[i].position, *expected[i].position);
+        EXPECT_EQ(found[i].covariance, expected[i].covariance);
+        EXPECT_EQ(found[i].status, expected[i].status);
+    }
 }
 
 TEST(Pipeline, FreeMarkersAreTrackedToAFewMillimetres) {

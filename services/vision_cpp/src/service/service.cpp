@@ -14,6 +14,7 @@
 #include <variant>
 
 #include "armsight/v1/parameters.pb.h"
+#include "armsight/vision/opencv_classify.hpp"
 #include "armsight/vision/pipeline.hpp"
 #include "service/annotations.hpp"
 #include "service/codec.hpp"
@@ -79,6 +80,13 @@ class Rate {
     double sum_ms_ = 0;
 };
 
+Classifier classifier_of(const std::string& backend) {
+    if (backend != "opencv") return classify;
+    return [](const ImageView& image, std::span<const ColorCone> cones, std::vector<MarkerMask>& masks) {
+        classify_opencv(image, cones, masks);
+    };
+}
+
 class Service {
   public:
     Service(const zenoh::Session& session, const Settings& settings, bool shared_memory);
@@ -93,6 +101,7 @@ class Service {
     void serve_parameters(const std::stop_token& stop);
 
     const zenoh::Session& session_;
+    Classifier classifier_;
     std::string parameters_;
     Counters counters_;
     Rig rig_;
@@ -122,6 +131,7 @@ class Service {
 
 Service::Service(const zenoh::Session& session, const Settings& settings, bool shared_memory)
     : session_(session),
+      classifier_(classifier_of(settings.backend)),
       health_(session, counters_),
       positions_(session.declare_publisher(topics::kJointPositions.key, topics::kJointPositions.encoding,
                                            options_of(topics::kJointPositions))),
@@ -133,6 +143,7 @@ Service::Service(const zenoh::Session& session, const Settings& settings, bool s
         {"namespace", settings.name_space},
         {"zenoh_config", settings.zenoh_config},
         {"log_level", settings.log_level},
+        {"backend", settings.backend},
         {"shared_memory",
          shared_memory}}.dump());
     parameters_ = response.SerializeAsString();
@@ -219,7 +230,7 @@ void Service::rebuild() {
     };
     try {
         if (!pipeline_ || !std::ranges::equal(markers_, description->markers, is_same)) {
-            pipeline_.emplace(description->markers);
+            pipeline_.emplace(description->markers, classifier_);
             markers_ = description->markers;
         }
     } catch (const std::invalid_argument& error) {

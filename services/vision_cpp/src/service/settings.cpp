@@ -62,6 +62,11 @@ std::optional<Settings> parse_settings(int argc, const char* const* argv) {
     app.add_option("--log-level", settings.log_level, "default: warning")
         ->check(CLI::IsMember({"debug", "info", "warning", "error"}))
         ->type_name("LEVEL");
+    app.add_option("--backend", settings.backend,
+                   "what finds the markers' pixels: simd, or opencv for the plain form, which finds the same and takes "
+                   "several hundred times as long (default: simd)")
+        ->check(CLI::IsMember({"simd", "opencv"}))
+        ->type_name("NAME");
     app.add_flag("--health", settings.health, "ask the running service whether it answers, and exit");
     try {
         app.parse(argc, argv);

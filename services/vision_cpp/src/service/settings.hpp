@@ -23,6 +23,7 @@ struct Settings {
     std::string name_space;             ///< the robot's name; empty: the file's or the default
     std::string zenoh_config;           ///< path of a Zenoh JSON5 file, or empty
     std::string log_level = "warning";  ///< debug, info, warning or error
+    std::string backend = "simd";       ///< what finds the markers' pixels: simd or opencv
     bool shared_memory = true;          ///< use it where this process may lock enough memory
     bool health = false;                ///< ask the running service whether it answers, and exit
 };

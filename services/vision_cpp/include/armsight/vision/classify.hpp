@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <span>
 #include <vector>
@@ -14,16 +15,19 @@ namespace armsight::vision {
 
 /// A marker's colours: a cone in RGB space with its tip at black, bounded by planes, so that brightness cancels.
 /// Chromaticity (RGB divided by its sum) is compared without dividing: every test is a sum of products.
+/// The numbers are small enough for 16-bit vectors: |coefficients| of a plane add up to at most 128.
 struct ColorCone {
-    using Plane = std::array<int, 3>;
+    using Plane = std::array<std::int16_t, 3>;
 
-    Plane hue;         ///< direction of the colour away from grey, in kUnit-ths
+    Plane hue;         ///< direction of the colour away from grey
     int floor;         ///< least chroma along `hue`: below it sensor noise decides, not colour
     Plane saturation;  ///< not negative where the colour is pure enough; excludes grey, whatever its brightness
     Plane left;        ///< not negative on this side of the hue's lower bound
     Plane right;       ///< not negative on this side of the hue's upper bound
+    int neutral;       ///< no pixel whose channels differ by this or less is inside
 
-    static constexpr int kUnit = 256;
+    /// What |coefficients| add up to before they are rounded: (126 + 3 / 2) * 255 < 2^15.
+    static constexpr int kUnit = 126;
 
     [[nodiscard]] bool contains(int red, int green, int blue) const {
         const auto dot = [=](const Plane& p) { return p[0] * red + p[1] * green + p[2] * blue; };
@@ -39,6 +43,8 @@ struct ColorCone {
 struct Run {
     int y, x0, x1;
     int component;  ///< index into MarkerMask::components once these are found
+
+    friend bool operator==(const Run&, const Run&) = default;
 };
 
 /// Connected pixels of one marker's colour.
@@ -46,6 +52,8 @@ struct Component {
     std::int64_t area;          ///< pixels
     std::int64_t sum_x, sum_y;  ///< of pixel indices
     int x0, y0, x1, y1;         ///< bounds, half open
+
+    friend bool operator==(const Component&, const Component&) = default;
 
     /// Centroid in image coordinates (pixel centres at + 0.5).
     [[nodiscard]] Eigen::Vector2d centroid() const {
@@ -66,5 +74,8 @@ inline constexpr std::size_t kMaxRuns = 131'072;
 /// Fills one mask for each cone, in one pass over the pixels: background, links and base have no chroma and are left
 /// out. Sizes `masks` as the cones.
 void classify(const ImageView& image, std::span<const ColorCone> cones, std::vector<MarkerMask>& masks);
+
+/// classify() or another one that does the same.
+using Classifier = std::function<void(const ImageView&, std::span<const ColorCone>, std::vector<MarkerMask>&)>;
 
 }  // namespace armsight::vision

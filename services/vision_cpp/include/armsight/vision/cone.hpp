@@ -27,4 +27,8 @@ struct ConeOptions {
 /// Returns nothing when fewer than `options.min_inliers` agree or when they do not make a cone.
 [[nodiscard]] std::optional<Cone> fit_cone(std::span<const EdgePoint> points, const ConeOptions& options = {});
 
+/// The cone of the points near a cone that is known already; nothing when too few are.
+[[nodiscard]] std::optional<Cone> refine_cone(std::span<const EdgePoint> points, const Cone& known,
+                                              const ConeOptions& options = {});
+
 }  // namespace armsight::vision

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "armsight/vision/camera.hpp"
+#include "armsight/vision/classify.hpp"
 #include "armsight/vision/description.hpp"
 #include "armsight/vision/estimate.hpp"
 #include "armsight/vision/frame.hpp"
@@ -25,7 +26,7 @@ struct CameraFrame {
 class Pipeline {
   public:
     /// Throws std::invalid_argument when markers cannot be told apart by colour, and says which.
-    explicit Pipeline(std::vector<MarkerModel> markers);
+    explicit Pipeline(std::vector<MarkerModel> markers, Classifier classifier = classify);
     ~Pipeline();
     Pipeline(Pipeline&&) noexcept;
     Pipeline& operator=(Pipeline&&) noexcept;
