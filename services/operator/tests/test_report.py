@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from armsight_operator.report import fixed_scale, summary
+from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, MARKER_STATUS_TRACKED, JointPositions
+from armsight_operator.report import fixed_scale, markers, summary
 from armsight_operator.report.chain import MARKER_NOISE_M, Arm, Array, arm_of, tip_from_markers
+from armsight_operator.report.markers import Sample
 from armsight_operator.report.measure import PART1_PERIODS, PART2_PERIODS, Descent, Part, PoseRow, mean_squared, path
 from fake_arm import description
 
@@ -120,6 +122,42 @@ def test_fixed_scale_says_when_it_sees_nothing() -> None:
         fixed_scale.red_centroid(np.full((10, 10, 3), 90.0))
 
 
+SAMPLES = [
+    Sample("red", lost=False, error_m=0.001, d2=3.0, visible=0.9),
+    Sample("red", lost=False, error_m=0.005, d2=9.0, visible=0.4),
+    Sample("red", lost=False, error_m=0.300, d2=70.0, visible=0.05),
+    Sample("red", lost=False, error_m=0.010, d2=70.0, visible=0.6),
+    Sample("blue", lost=True, error_m=float("nan"), d2=float("nan"), visible=0.0),
+]
+
+
+def test_marker_figures_tell_doubtful_from_wrong() -> None:
+    told = markers.figures(SAMPLES)
+    assert (told["samples"], told["lost"], told["wrong"]) == (5, 1, 1)
+    assert told["visible_50"] == pytest.approx({"samples": 2, "mean": 0.0055, "p99": 0.00991, "max": 0.010})
+    assert told["visible_10"]["samples"] == 3
+    assert told["within_chi2_95"] == {"red": 0.25}
+
+
+def test_samples_are_the_distance_from_the_true_pose(arm: Arm) -> None:
+    q = np.array([0.3, -0.2, 0.5, 0.1])
+    positions = JointPositions()
+    for index, name in enumerate(sorted(arm.markers)):
+        centre = arm.to_world(arm.point(q, arm.markers[name])) + np.array([0.0, 0.002 * index, 0.0])
+        marker = positions.markers.add(name=name, status=MARKER_STATUS_TRACKED)
+        marker.position.x, marker.position.y, marker.position.z = centre
+        marker.covariance[:] = (np.eye(3) * 1e-6).ravel()
+        for camera, visible in (("1", 0.9), ("2", 0.5)):
+            marker.observations.add(camera=camera, visible=visible)
+    positions.markers[0].status = MARKER_STATUS_LOST
+    del positions.markers[2].observations[1]
+    samples = markers.samples_of(arm, positions, q, cameras=2)
+    assert [s.lost for s in samples] == [True, False, False, False]
+    assert [s.error_m for s in samples[1:]] == pytest.approx([0.002, 0.004, 0.006])
+    assert [s.d2 for s in samples[1:]] == pytest.approx([4.0, 16.0, 36.0])
+    assert [s.visible for s in samples] == [0.5, 0.5, 0.0, 0.5]
+
+
 def results() -> summary.Results:
     truth = np.array([1.0, 2.0, 3.0])
     ours, printed, method = np.diag([0.003, 0.3, 0.6])
@@ -129,7 +167,7 @@ def results() -> summary.Results:
     observable = np.ones((4, 3), dtype=bool)
     observable[2, 0] = False
     observable[:, 1] = False
-    part = Part("test-1", ("nu", "phi", "psi"), (1, 2, 3), np.arange(4.0), estimated, true, observable)
+    part = Part("test-1", ("nu", "phi", "psi"), (1, 2, 3), np.arange(4.0), estimated, true, observable, SAMPLES)
     return summary.Results(4, True, [row, row], part, part, [Descent("fixed", 4, 3)], np.array([5.0, 6.0, 50.0]))
 
 

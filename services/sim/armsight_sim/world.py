@@ -62,6 +62,8 @@ class World:
         """One step of :attr:`step_s` towards a moving setpoint (rad, rad/s)."""
         self.data.ctrl[:] = setpoint + self._lead_s * setpoint_speed
         mujoco.mj_step(self.model, self.data)
+        # mj_step leaves positions of bodies one step behind the angles: a moving arm would be drawn where it was
+        self.update_positions()
 
     def update_positions(self) -> None:
         """Recomputes where everything is after a change to the scene (the visible target)."""

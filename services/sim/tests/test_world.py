@@ -83,6 +83,16 @@ def test_constant_setpoint_is_reached_without_steady_error(world: World) -> None
     np.testing.assert_allclose(world.speeds(), 0.0, atol=1e-6)
 
 
+def test_what_is_drawn_of_a_moving_arm_is_where_its_angles_put_it(world: World) -> None:
+    speed = np.array([2.0, -1.0, 1.0, 1.5])
+    setpoint = np.zeros(4)
+    for _ in range(200):
+        setpoint = setpoint + speed * world.step_s
+        world.step(setpoint, speed)
+        drawn = np.array(world.data.site("tip").xpos)
+        np.testing.assert_allclose(drawn, tip(world.angles()), atol=1e-9)
+
+
 def test_moving_setpoint_is_followed_without_lag(world: World) -> None:
     speed = np.array([2.0, -1.0, 1.0, 1.5])
     setpoint, errors = np.zeros(4), []

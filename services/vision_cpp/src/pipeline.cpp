@@ -373,7 +373,7 @@ MarkerEstimate Pipeline::State::estimate(std::size_t marker, std::int64_t captur
         result.position = fix->position;
         result.covariance = fix->covariance;
         result.age_s = 0.0;
-        track.update(capture_ns, fix->position, fix->covariance);
+        track.update(capture_ns, *fix);
     } else if (const auto prior = track.predict(capture_ns)) {
         result.position = prior->position;
         result.covariance = prior->covariance;

@@ -143,7 +143,7 @@ std::optional<Fix> fit_sphere(std::span<const View> views, double radius, const 
     Eigen::Matrix3d covariance;
     normal.matrix.computeInverseWithCheck(covariance, invertible, 1e-12);
     if (!invertible || !covariance.allFinite() || !(covariance.trace() < kMaxConditionedVariance)) return std::nullopt;
-    return Fix{.position = position, .covariance = covariance, .sigma_px = sigma_px, .inliers = normal.inliers};
+    return Fix{.position = position, .covariance = covariance, .sigma_px = sigma_px, .inliers = normal.inliers, .has_prior = prior.has_value()};
 }
 
 double agreement(const View& view, double radius, const Eigen::Vector3d& position, double tolerance_px) {

@@ -40,6 +40,11 @@ class Arm:
         rotation, translation = self.base_from_world
         return np.asarray(world @ rotation.T + translation)
 
+    def to_world(self, base: Array) -> Array:
+        """Points of the base frame in the world frame."""
+        rotation, translation = self.base_from_world
+        return np.asarray((base - translation) @ rotation)
+
     def point(self, q: Array, attached: tuple[int, Array]) -> Array:
         """Where an attached point is, in the base frame."""
         joint, position = attached

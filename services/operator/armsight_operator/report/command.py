@@ -18,7 +18,7 @@ from armsight_operator.cli.bus import configuration, connected
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
 from armsight_operator.errors import OperatorError
 from armsight_operator.monitor import Monitor
-from armsight_operator.report import measure, plots, summary
+from armsight_operator.report import markers, measure, plots, summary
 from armsight_operator.report.run import Run, own_stack, wait_ready
 
 _TEST_S = 60.0
@@ -34,6 +34,8 @@ def report(
     samples: Annotated[int, typer.Option(help="Samples a pixel: 0 or 4.")] = 4,
     seed: Annotated[int, typer.Option(help="Of the random configurations and targets.", min=0)] = 1,
     poses: Annotated[int, typer.Option(help="Random configurations of all joints to measure as well.", min=0)] = 0,
+    noise: Annotated[float, typer.Option(help="Standard deviation of the frames' noise, grey levels.", min=0)] = 0.0,
+    ambient: Annotated[str, typer.Option(help="Ambient light: 0 to 1, or 'sweep'.")] = "0.4",
     attach: Annotated[
         bool, typer.Option("--attach", help="Measure the running stack (lockstep), not one of our own.")
     ] = False,
@@ -49,11 +51,14 @@ def report(
     except OSError as error:
         raise OperatorError(f"can't write to {out}: {error.strerror}") from error
     began = time.monotonic()
+    flags = ("--noise", f"{noise:g}", "--ambient", ambient)
     with contextlib.ExitStack() as stack:
         if attach:
             config = configuration(connect, namespace, zenoh_config)
         else:
-            config = SessionConfig(endpoints=(stack.enter_context(own_stack(out, samples)),), shared_memory="off")
+            config = SessionConfig(
+                endpoints=(stack.enter_context(own_stack(out, samples, flags)),), shared_memory="off"
+            )
         bus = stack.enter_context(connected(config, _ROUTER_S))
         monitor = Monitor(bus)
         wait_ready(monitor)
@@ -87,6 +92,10 @@ def _write(results: summary.Results, out: Path) -> None:
     for part, key in ((results.part1, "part1"), (results.part2, "part2")):
         plots.plot_angles(part, out / f"{key}_angles.png")
         plots.plot_errors(part, out / f"{key}_errors.png")
+    samples = {"part1": results.part1.markers, "part2": results.part2.markers}
+    if results.random is not None:
+        samples["random"] = results.random.markers
+    markers.write_csv(samples, out / "markers.csv")
     (out / "report.md").write_text(summary.to_markdown(results), encoding="utf-8")
     (out / "summary.json").write_text(json.dumps(summary.to_json(results), indent=2) + "\n", encoding="utf-8")
 

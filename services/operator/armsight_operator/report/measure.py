@@ -11,7 +11,8 @@ import numpy as np
 from armsight.v1.control_pb2 import IK_STATUS_CONVERGED
 from armsight_operator.report import fixed_scale
 from armsight_operator.report.chain import OBSERVABLE_RAD, Array, Flags, tip_from_markers
-from armsight_operator.report.run import Instant, Run
+from armsight_operator.report.markers import Sample, samples_of
+from armsight_operator.report.run import Instant, Run, centres
 
 Progress = Callable[[float], None]
 
@@ -51,6 +52,7 @@ class Part:
     true: Array
     observable: Flags
     """instants x free joints: whether 2 mm of marker noise moves the joint by less than 10 mrad there."""
+    markers: list[Sample]
 
     @property
     def error(self) -> Array:
@@ -65,6 +67,7 @@ class Random:
     seed: int
     error: Array
     """poses x 3."""
+    markers: list[Sample]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +127,14 @@ def random_poses(run: Run, seed: int, count: int, progress: Progress) -> Random:
     """Random configurations of all four joints, within the limits, set at rest."""
     generator = np.random.default_rng(seed)
     errors = []
+    samples: list[Sample] = []
     for index in range(count):
         q = generator.uniform(run.arm.limits[:, 0], run.arm.limits[:, 1])
-        markers = run.markers_at(run.reset(q))
-        errors.append(run.arm.to_base(tip_from_markers(run.arm, markers)) - run.arm.tip_at(q))
+        positions = run.positions_at(run.reset(q))
+        errors.append(run.arm.to_base(tip_from_markers(run.arm, centres(positions))) - run.arm.tip_at(q))
+        samples += samples_of(run.arm, positions, q, len(run.cameras))
         progress((index + 1) / count)
-    return Random(seed, np.array(errors))
+    return Random(seed, np.array(errors), samples)
 
 
 def descents(run: Run, seed: int, count: int, progress: Progress) -> list[Descent]:
@@ -179,6 +184,7 @@ def _part(
         estimated=np.array([instant.estimated for instant in instants])[:, free],
         true=np.array([instant.true for instant in instants])[:, free],
         observable=sigma < OBSERVABLE_RAD,
+        markers=[s for i in instants for s in samples_of(run.arm, i.positions, i.true, len(run.cameras))],
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -21,13 +21,14 @@ from armsight.times import NS_PER_S, from_timestamp
 from armsight.v1.control_pb2 import ControlMode, SetModeRequest, SolveIkRequest, SolveIkResponse
 from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.geometry_pb2 import Vector3
-from armsight.v1.joints_pb2 import JointSetpoint
+from armsight.v1.joints_pb2 import JointPositions, JointSetpoint
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP, ResetRequest
 from armsight_operator.errors import NoDataError, OperatorError
 from armsight_operator.monitor import Monitor
 from armsight_operator.report.chain import Arm, Array, arm_of
 
 M = TypeVar("M", bound=Message)
+T = TypeVar("T")
 
 _ANSWER_S = 20.0
 _FIFO = 512
@@ -42,6 +43,8 @@ class Instant:
     capture_ns: int
     estimated: Array
     true: Array
+    positions: JointPositions
+    """What vision measured."""
     latency_ms: float
     """Frames sent to command sent."""
 
@@ -79,17 +82,17 @@ class Run:
         joints = [JointSetpoint(name=name, position_rad=angle) for name, angle in zip(self.arm.names, q, strict=True)]
         return from_timestamp(self._bus.query(topics.RESET, ResetRequest(joints=joints)).capture_time)
 
+    def positions_at(self, capture_ns: int) -> JointPositions:
+        """What vision measured at the first instant from a capture time on."""
+        return self._next(self._positions, lambda m: from_timestamp(m.capture_time) >= capture_ns)
+
     def markers_at(self, capture_ns: int) -> dict[str, Array]:
         """Measured marker centres of the first instant from a capture time on, world frame.
 
         Raises:
             OperatorError: a marker that was never seen.
         """
-        message = self._next(self._positions, lambda m: from_timestamp(m.capture_time) >= capture_ns)
-        unseen = [marker.name for marker in message.markers if not marker.HasField("position")]
-        if unseen:
-            raise OperatorError(f"vision has never seen {', '.join(unseen)}")
-        return {m.name: np.array([m.position.x, m.position.y, m.position.z]) for m in message.markers}
+        return centres(self.positions_at(capture_ns))
 
     def frames_at(self, capture_ns: int) -> dict[str, Array]:
         """One instant's pictures from a capture time on, by camera: height x width x 3, 0 to 255."""
@@ -120,7 +123,12 @@ class Run:
         true = self._bus.subscriber(topics.JOINTS_TRUE, keep=_FIFO)
         estimated = self._bus.subscriber(topics.JOINTS_ESTIMATED, keep=_FIFO)
         status = self._bus.subscriber(topics.CONTROL_STATUS, keep=_FIFO)
-        truths, estimates = _ByTime(true), _ByTime(estimated)
+        measured = self._bus.subscriber(topics.JOINT_POSITIONS, keep=_FIFO)
+        truths, estimates, positions = (
+            _ByTime(true, _angles),
+            _ByTime(estimated, _angles),
+            _ByTime(measured, _positions),
+        )
         truths.wait()  # the first instant in the new mode may be one whose truth is published already
         request = SetModeRequest(mode=f"CONTROL_MODE_{mode.upper().replace('-', '_')}", start_s=start_s)
         self._bus.query(topics.MODE, request, timeout_s=_ANSWER_S)
@@ -132,12 +140,12 @@ class Run:
             message = first
             while (stamp := from_timestamp(message.capture_time)) < begin + round(duration_s * NS_PER_S):
                 latency = (message.stages.control_sent_ns - message.stages.frames_sent_ns) / 1e6
-                instants.append(Instant(stamp, estimates.at(stamp), truths.at(stamp), latency))
+                instants.append(Instant(stamp, estimates.at(stamp), truths.at(stamp), positions.at(stamp), latency))
                 progress((stamp - begin) / NS_PER_S / duration_s)
                 message = self._next(status, lambda m, after=stamp: from_timestamp(m.capture_time) > after)  # type: ignore[misc]
-            lost = true.lost + estimated.lost + status.lost
+            lost = true.lost + estimated.lost + status.lost + measured.lost
         finally:
-            for subscriber in (true, estimated, status):
+            for subscriber in (true, estimated, status, measured):
                 subscriber.close()
         if lost:
             raise OperatorError(f"{lost} samples were lost: this machine is too busy for the report")
@@ -165,33 +173,54 @@ class Run:
         raise NoDataError(f"the loop stands still for {_ANSWER_S:g} s ({said})")
 
 
-class _ByTime:
-    """Joint angles by capture time, from a subscriber."""
+def centres(positions: JointPositions) -> dict[str, Array]:
+    """Marker centres by name, world frame.
 
-    def __init__(self, subscriber: Subscriber[JointStates]) -> None:
+    Raises:
+        OperatorError: a marker that was never seen.
+    """
+    unseen = [marker.name for marker in positions.markers if not marker.HasField("position")]
+    if unseen:
+        raise OperatorError(f"vision has never seen {', '.join(unseen)}")
+    return {m.name: np.array([m.position.x, m.position.y, m.position.z]) for m in positions.markers}
+
+
+class _ByTime(Generic[M, T]):
+    """What a subscriber gets, by capture time."""
+
+    def __init__(self, subscriber: Subscriber[M], key: Callable[[M], tuple[int, T]]) -> None:
         self._subscriber = subscriber
-        self._kept: dict[int, Array] = {}
+        self._key = key
+        self._kept: dict[int, T] = {}
 
     def wait(self) -> None:
         """Until the first sample is there: from then on none is missed."""
         self._take(_ANSWER_S)
 
-    def at(self, stamp: int) -> Array:
-        """Angles of an instant; those of earlier ones are forgotten."""
+    def at(self, stamp: int) -> T:
+        """That of an instant; those of earlier ones are forgotten."""
         until = time.monotonic() + _ANSWER_S
         while stamp not in self._kept and time.monotonic() < until:
             self._take(until - time.monotonic())
         if stamp not in self._kept:
-            raise NoDataError(f"no joint angles for the instant {stamp}")
+            raise NoDataError(f"nothing for the instant {stamp}")
         found = self._kept[stamp]
-        self._kept = {time_ns: angles for time_ns, angles in self._kept.items() if time_ns > stamp}
+        self._kept = {time_ns: value for time_ns, value in self._kept.items() if time_ns > stamp}
         return found
 
     def _take(self, timeout_s: float) -> None:
         received = self._subscriber.recv(timeout_s)
         if received is not None:
-            angles = np.array([joint.position for joint in received.message.joints])
-            self._kept[from_timestamp(received.message.timestamp)] = angles
+            stamp, value = self._key(received.message)
+            self._kept[stamp] = value
+
+
+def _angles(states: JointStates) -> tuple[int, Array]:
+    return from_timestamp(states.timestamp), np.array([joint.position for joint in states.joints])
+
+
+def _positions(positions: JointPositions) -> tuple[int, JointPositions]:
+    return from_timestamp(positions.capture_time), positions
 
 
 def wait_ready(monitor: Monitor, timeout_s: float = _READY_S) -> None:

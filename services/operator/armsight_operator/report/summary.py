@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from armsight_operator.report import markers
 from armsight_operator.report.chain import Array
 from armsight_operator.report.measure import Descent, Part, PoseRow, Random, mean_squared
 
@@ -61,6 +62,7 @@ def to_json(results: Results) -> dict[str, Any]:
             "mse": mean_squared(results.random.error),
             "mean": float(distance.mean()),
             "p99": float(np.percentile(distance, 99)),
+            "markers": markers.figures(results.random.markers),
         }
     return summary
 
@@ -116,6 +118,7 @@ def to_markdown(results: Results) -> str:
             "",
             f"![errors]({key}_errors.png)",
             "",
+            *_marker_lines(part["markers"]),
         ]
     lines += [
         "## Inverse kinematics: the report's gradient descent",
@@ -131,6 +134,8 @@ def to_markdown(results: Results) -> str:
             f"## {r['poses']} random poses (seed {r['seed']})",
             "",
             f"End effector: mean {1000 * r['mean']:.1f} mm, p99 {1000 * r['p99']:.1f} mm, MSE {r['mse']:.2g} m².",
+            "",
+            *_marker_lines(r["markers"]),
         ]
     latency = summary["latency_ms"]
     lines += [
@@ -143,6 +148,28 @@ def to_markdown(results: Results) -> str:
     return "\n".join(lines)
 
 
+def _marker_lines(told: dict[str, Any]) -> list[str]:
+    def error(key: str) -> str:
+        e = told[key]
+        return (
+            f"mean {1000 * e['mean']:.1f}, p99 {1000 * e['p99']:.1f}, max {1000 * e['max']:.0f}"
+            if e["samples"]
+            else "-"
+        )
+
+    honest = ", ".join(f"{name} {100 * share:.0f} %" for name, share in told["within_chi2_95"].items())
+    return [
+        "| markers | |",
+        "|---|---|",
+        f"| error where all cameras see 50 % or more, mm | {error('visible_50')} |",
+        f"| error where all see 10 % or more, mm | {error('visible_10')} |",
+        f"| within the 95 % of their own covariance | {honest} |",
+        f"| lost, of {told['samples']} | {told['lost']} |",
+        f"| wrong: over {1000 * markers.WRONG_M:.0f} mm, and the covariance denies it | {told['wrong']} |",
+        "",
+    ]
+
+
 def _part(part: Part) -> dict[str, Any]:
     rms, worst, share = {}, {}, {}
     for index, symbol in enumerate(part.symbols):
@@ -150,7 +177,13 @@ def _part(part: Part) -> dict[str, Any]:
         rms[symbol] = float(np.sqrt(np.mean(counted**2))) if counted.size else float("nan")
         worst[symbol] = float(np.abs(counted).max()) if counted.size else float("nan")
         share[symbol] = float(part.observable[:, index].mean())
-    return {"rms": rms, "max": worst, "observable": share, "frames": len(part.time_s)}
+    return {
+        "rms": rms,
+        "max": worst,
+        "observable": share,
+        "frames": len(part.time_s),
+        "markers": markers.figures(part.markers),
+    }
 
 
 def _row(row: PoseRow) -> dict[str, Any]:

@@ -20,7 +20,7 @@ enum class MarkerStatus {
     Tracked,         ///< outline seen by two views or more
     PartlyOccluded,  ///< two views or more, part of the outline hidden in at least one
     OneView,         ///< one view: its ray, the known radius and the last state; see the covariance
-    Lost,            ///< seen by none: the last position
+    Lost,            ///< seen by none: the last state, carried on for a moment
 };
 
 struct MarkerEstimate {

@@ -8,20 +8,31 @@
 
 namespace armsight::vision {
 
-/// What is remembered of one marker between instants: for the instants at which one camera or none sees it.
+/// What is remembered of one marker between instants, for those at which one camera or none sees it: a Kalman filter
+/// over position and velocity, driven by accelerations that nobody knows.
 class Track {
   public:
-    /// The last position with a covariance that has grown since; nothing when never seen.
+    /// Where the marker should be, with a covariance that has grown since it was seen; nothing when never seen.
     [[nodiscard]] std::optional<Prior> predict(std::int64_t capture_ns) const;
 
     /// Seconds since the marker was last seen; 0 when never.
     [[nodiscard]] double age_s(std::int64_t capture_ns) const;
 
-    /// Remembers what was measured at an instant.
-    void update(std::int64_t capture_ns, const Eigen::Vector3d& position, const Eigen::Matrix3d& covariance);
+    /// Takes in what was measured at an instant. A measurement that the past denies starts the track anew: the arm was
+    /// set to another pose.
+    void update(std::int64_t capture_ns, const Fix& fix);
 
   private:
-    std::optional<Prior> last_;
+    using Vector6 = Eigen::Matrix<double, 6, 1>;
+    using Matrix6 = Eigen::Matrix<double, 6, 6>;
+    struct State {
+        Vector6 mean;        ///< position, m; velocity, m/s
+        Matrix6 covariance;  ///< of it
+    };
+
+    [[nodiscard]] State ahead(std::int64_t capture_ns) const;
+
+    std::optional<State> state_;
     std::int64_t seen_ns_ = 0;
 };
 

@@ -40,6 +40,7 @@ struct Fix {
     Eigen::Matrix3d covariance;  ///< m^2, from the normal matrix
     double sigma_px;             ///< robust spread of the edge points around the outline
     int inliers;                 ///< edge points that agree, all views
+    bool has_prior = false;      ///< whether what was known beforehand is in it
 };
 
 /// Fits one sphere of known radius to its outlines in all views together: Gauss-Newton on
