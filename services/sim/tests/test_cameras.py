@@ -1,5 +1,6 @@
 from collections.abc import Iterator
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from armsight_sim.cameras import Cameras, Noise
 from armsight_sim.world import World
 
+SEED = 1729
 FOCAL = 400 / np.tan(np.radians(40))
 # right, down and forward of each camera, and where it stands
 CAMERAS = {
@@ -40,6 +42,24 @@ def test_sphere_is_drawn_where_it_projects_to_a_tenth_of_a_pixel(world: World, c
         # the link covers a little of it, and a sphere's image is no circle: half a pixel would be a slip of convention
         off = np.array([columns.mean() + 0.5, rows.mean() + 0.5]) - projected(name, centre)
         assert np.abs(off).max() < 0.45, f"camera {name}: {off}"
+
+
+def test_spheres_are_drawn_as_large_as_they_are() -> None:
+    random, radii = np.random.default_rng(SEED), []
+    for turn in random.normal(size=(12, 4)):
+        model = mujoco.MjModel.from_xml_string(
+            f"""<mujoco><visual><global offwidth="1000" offheight="1000"/></visual><statistic extent="40"/>
+            <worldbody><camera name="c" pos="0 0 40" fovy="0.8"/><light pos="0 0 30"/>
+            <geom type="sphere" size="0.2" quat="{" ".join(map(str, turn))}" rgba="1 1 1 1"/></worldbody></mujoco>"""
+        )
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        cameras = Cameras(model, ["c"], 1000, 1000, 0)
+        lit = cameras.draw(data)[0].max(axis=2) > 0
+        cameras.close()
+        focal = 500 / np.tan(np.radians(0.4))
+        radii.append(40 * np.sin(np.arctan(np.sqrt(lit.sum() / np.pi) / focal)))
+    assert np.mean(radii) == pytest.approx(0.2, rel=4e-4), f"seed {SEED}"
 
 
 def test_every_marker_is_seen_by_both_cameras_at_zero(world: World, cameras: Cameras) -> None:
