@@ -50,6 +50,7 @@ test: setup  ## every test that fits into minutes
 	tools/test.sh
 
 test-long: setup  ## fuzz, fault and soak suites in full
+	tools/fuzz.sh 300
 	$(BIN)/pytest -m long --timeout 3600 $(PYTHON_PACKAGES) tests $(PYTEST_ARGS)
 
 lint: setup  ## formatters, linters and type checkers, all of them

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# Installs the Debian packages of tools/apt-packages.txt that are missing, or says which they are.
+# Installs the Debian packages of a list (tools/apt-packages.txt) that are missing, or says which they are.
 set -euo pipefail
-cd "$(dirname "$0")"
+list=${1:-$(dirname "$0")/apt-packages.txt}
 
 missing=()
 while read -r package; do
     case "$package" in '' | '#'*) continue ;; esac
     state=$(dpkg-query --show --showformat='${db:Status-Status}' "$package" 2>/dev/null || true)
     [ "$state" = installed ] || missing+=("$package")
-done <apt-packages.txt
+done <"$list"
 [ ${#missing[@]} -gt 0 ] || exit 0
 
 if [ "$(id -u)" = 0 ]; then

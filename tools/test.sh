@@ -17,6 +17,8 @@ check() { # check NAME COMMAND...
 check "zenoh bridge (Rust)" cargo test --quiet --release --manifest-path services/vision_cpp/zenoh_bridge/Cargo.toml \
     --target-dir build/vision/cargo
 check "vision (C++)" ctest --test-dir build/vision --output-on-failure
+check "vision with sanitizers" tools/sanitize.sh
+check "vision fuzzed" tools/fuzz.sh 20
 for package in proto services/sim services/control services/operator; do
     check "$package" "$bin/pytest" -q -m "not long" "$package/tests"
 done

@@ -13,6 +13,9 @@ namespace {
 constexpr int kUndistortSteps = 10;
 constexpr double kUndistortTolerance = 1e-13;  // on the plane z = 1: far below a pixel
 constexpr double kMinDepth = 1e-6;             // metres
+// Focal lengths in sides of the image: from nearly 180 degrees of view to a thousandth of one.
+constexpr double kMinFocal = 1e-3;
+constexpr double kMaxFocal = 1e5;
 
 bool has_distortion(const Camera& camera) {
     return std::ranges::any_of(camera.distortion, [](double k) { return k != 0.0; });
@@ -24,8 +27,10 @@ bool is_usable(const Camera& camera) {
     const auto sane_side = [](int side) {
         return std::cmp_greater_equal(side, kMinImageSide) && std::cmp_less_equal(side, kMaxImageSide);
     };
-    return sane_side(camera.width) && sane_side(camera.height) && camera.K.allFinite() && camera.K(0, 0) > 0.0 &&
-           camera.K(1, 1) > 0.0 && std::ranges::all_of(camera.distortion, [](double k) { return std::isfinite(k); }) &&
+    const auto sane_focal = [](double focal, int side) { return focal > kMinFocal * side && focal < kMaxFocal * side; };
+    return sane_side(camera.width) && sane_side(camera.height) && camera.K.allFinite() &&
+           sane_focal(camera.K(0, 0), camera.width) && sane_focal(camera.K(1, 1), camera.height) &&
+           std::ranges::all_of(camera.distortion, [](double k) { return std::isfinite(k); }) &&
            camera.T_world_camera.matrix().allFinite();
 }
 

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
-#include <ranges>
+#include <span>
 
 namespace armsight::vision {
 namespace {
@@ -134,7 +134,7 @@ Box collect(const MarkerMask& mask, const Disc& disc, EdgeScratch& scratch, Outl
     scratch.columns.assign(static_cast<std::size_t>(box.x1 - box.x0), kEmpty);
     const auto first = std::ranges::lower_bound(mask.runs, box.y0, {}, &Run::y);
     const auto last = std::ranges::lower_bound(first, mask.runs.end(), box.y1, {}, &Run::y);
-    for (const Run& run : std::ranges::subrange(first, last)) {
+    for (const Run& run : std::span(first, last)) {
         if (!reaches(mask.components[static_cast<std::size_t>(run.component)], disc)) continue;
         extend(scratch.rows[static_cast<std::size_t>(run.y - box.y0)], run.x0, run.x1 - 1);
         for (int x = run.x0; x < run.x1; ++x)

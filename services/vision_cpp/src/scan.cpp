@@ -230,8 +230,9 @@ namespace armsight::vision {
 
 HWY_EXPORT(scan_image);
 
+// NOLINTNEXTLINE(misc-const-correctness): what is called appends to the masks
 void scan(const ImageView& image, std::span<const ColorCone> cones, std::vector<MarkerMask>& masks) {
-    HWY_DYNAMIC_DISPATCH(scan_image)(image, cones, masks);  // NOLINT(misc-const-correctness): appends to them
+    HWY_DYNAMIC_DISPATCH(scan_image)(image, cones, masks);
 }
 
 std::vector<std::string> scan_targets() {

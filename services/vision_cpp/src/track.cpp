@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
+#include <utility>
 
 namespace armsight::vision {
 namespace {
@@ -21,24 +22,24 @@ constexpr double kJump = 30.0;
 
 }  // namespace
 
-Track::State Track::ahead(std::int64_t capture_ns) const {
-    const double seconds = std::clamp(age_s(capture_ns), 0.0, kMaxSeconds);
+Track::State Track::ahead(const State& state, double seconds) {
+    seconds = std::clamp(seconds, 0.0, kMaxSeconds);
     const double s2 = seconds * seconds;
     const Eigen::Matrix3d I = Eigen::Matrix3d::Identity();
     Matrix6 transition = Matrix6::Identity();
     transition.topRightCorner<3, 3>() = seconds * I;
     Matrix6 unknown;
     unknown << 0.25 * s2 * s2 * I, 0.5 * s2 * seconds * I, 0.5 * s2 * seconds * I, s2 * I;
-    State result{.mean = state_->mean,
-                 .covariance = transition * state_->covariance * transition.transpose() +
-                               kAcceleration * kAcceleration * unknown};
-    result.mean.head<3>() += std::min(seconds, kCarrySeconds) * state_->mean.tail<3>();
+    State result{
+        .mean = state.mean,
+        .covariance = transition * state.covariance * transition.transpose() + kAcceleration * kAcceleration * unknown};
+    result.mean.head<3>() += std::min(seconds, kCarrySeconds) * state.mean.tail<3>();
     return result;
 }
 
 std::optional<Prior> Track::predict(std::int64_t capture_ns) const {
     if (!state_) return std::nullopt;
-    const State state = ahead(capture_ns);
+    const State state = ahead(*state_, age_s(capture_ns));
     return Prior{.position = state.mean.head<3>(), .covariance = state.covariance.topLeftCorner<3, 3>()};
 }
 
@@ -49,7 +50,7 @@ double Track::age_s(std::int64_t capture_ns) const {
 void Track::update(std::int64_t capture_ns, const Fix& fix) {
     std::optional<State> next;
     if (state_) {
-        const State before = ahead(capture_ns);
+        const State before = ahead(*state_, age_s(capture_ns));
         const Eigen::Matrix3d P = before.covariance.topLeftCorner<3, 3>();
         const Eigen::Matrix3d toward_velocity = before.covariance.bottomLeftCorner<3, 3>();
         // what is known of the position now: the fix alone when the past is in it already
@@ -80,7 +81,7 @@ void Track::update(std::int64_t capture_ns, const Fix& fix) {
         next->covariance.topLeftCorner<3, 3>() = fix.covariance;
         next->covariance.bottomRightCorner<3, 3>() = kSpeed * kSpeed * Eigen::Matrix3d::Identity();
     }
-    state_ = next;
+    state_ = std::move(next);
     seen_ns_ = capture_ns;
 }
 

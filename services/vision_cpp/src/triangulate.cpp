@@ -17,8 +17,9 @@ constexpr double kTukey = 4.685;         // 95 % efficient for normal errors
 constexpr double kMinSigmaPx = 0.05;
 constexpr double kStartSigmaPx = 0.5;  // before the spread is known
 // Errors of neighbouring edge points go together (both come from the same facets and samples): independent errors of
-// the same spread would make the covariance this much too small. Measured on renders with 0 and 4 samples.
-constexpr double kCorrelation = 3.0;
+// the same spread would make the covariance this much too small. This and kViewShiftPx were measured on renders with 0
+// and 4 samples.
+constexpr double kCorrelation = 1.5;
 constexpr double kMaxConditionedVariance = 1e4;  // m^2; beyond it the position is not determined
 
 double median(std::vector<double>& values) {
@@ -30,6 +31,7 @@ double median(std::vector<double>& values) {
 struct Normal {
     Eigen::Matrix3d matrix = Eigen::Matrix3d::Zero();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
+    Eigen::Matrix3d of_shifts = Eigen::Matrix3d::Zero();  ///< covariance of `right` when views shift by one pixel
     std::vector<double> residuals;
     int inliers = 0;
     bool in_front = true;
@@ -60,6 +62,7 @@ void add_view(const View& view, double radius, const Eigen::Vector3d& position, 
     const double tangent = std::sqrt(sight.distance * sight.distance - radius * radius);
     const Eigen::Vector3d along = radius / (sight.distance * tangent) * sight.axis;
     const double cutoff = kTukey * sigma_px;
+    Eigen::Matrix3d shifts = Eigen::Matrix3d::Zero();
     for (const EdgePoint& point : view.outline) {
         const double r = residual_px(point, sight.axis, sight.half_angle);
         normal.residuals.push_back(std::abs(r));
@@ -75,7 +78,10 @@ void add_view(const View& view, double radius, const Eigen::Vector3d& position, 
         const Eigen::Vector3d gradient = point.pixels_per_radian * (R * (across + along));
         normal.matrix += weight * gradient * gradient.transpose();
         normal.right -= weight * r * gradient;
+        // a shift of the outline changes the residual by its part along the direction from the axis to the point
+        shifts += weight / std::max(sin_angle, 1e-9) * gradient * (point.ray - cos_angle * sight.axis).transpose();
     }
+    normal.of_shifts += shifts * shifts.transpose();
     if (view.centre_sigma_px > 0.0) {
         const double scale = view.centre_pixels_per_radian / view.centre_sigma_px;
         const Eigen::Matrix3d P = Eigen::Matrix3d::Identity() - sight.axis * sight.axis.transpose();
@@ -140,10 +146,15 @@ std::optional<Fix> fit_sphere(std::span<const View> views, double radius, const 
     normal = linearise(views, radius, position, sigma_px * std::sqrt(kCorrelation), prior);
     if (!normal.in_front) return std::nullopt;
     bool invertible = false;
-    Eigen::Matrix3d covariance;
+    Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
     normal.matrix.computeInverseWithCheck(covariance, invertible, 1e-12);
+    covariance += kViewShiftPx * kViewShiftPx * covariance * normal.of_shifts * covariance;
     if (!invertible || !covariance.allFinite() || !(covariance.trace() < kMaxConditionedVariance)) return std::nullopt;
-    return Fix{.position = position, .covariance = covariance, .sigma_px = sigma_px, .inliers = normal.inliers, .has_prior = prior.has_value()};
+    return Fix{.position = position,
+               .covariance = covariance,
+               .sigma_px = sigma_px,
+               .inliers = normal.inliers,
+               .has_prior = prior.has_value()};
 }
 
 double agreement(const View& view, double radius, const Eigen::Vector3d& position, double tolerance_px) {

@@ -124,6 +124,9 @@ TEST(Camera, EveryKindOfUnusableNumberIsFound) {
     EXPECT_FALSE(usable_after([](Camera& c) { c.height = 8193; }));
     EXPECT_FALSE(usable_after([](Camera& c) { c.height = -800; }));
     EXPECT_FALSE(usable_after([](Camera& c) { c.K(1, 1) = -476.7; }));
+    EXPECT_FALSE(
+        usable_after([](Camera& c) { c.K(0, 0) = 1e-319; }));  // found by fuzzing: a ray through it is infinite
+    EXPECT_FALSE(usable_after([](Camera& c) { c.K(1, 1) = 1e300; }));
     EXPECT_FALSE(usable_after([](Camera& c) { c.K(0, 2) = kNan; }));
     EXPECT_FALSE(usable_after([](Camera& c) { c.distortion[4] = std::numeric_limits<double>::infinity(); }));
     EXPECT_FALSE(usable_after([](Camera& c) { c.T_world_camera.translation().z() = kNan; }));

@@ -30,7 +30,7 @@ class Track {
         Matrix6 covariance;  ///< of it
     };
 
-    [[nodiscard]] State ahead(std::int64_t capture_ns) const;
+    [[nodiscard]] static State ahead(const State& state, double seconds);
 
     std::optional<State> state_;
     std::int64_t seen_ns_ = 0;

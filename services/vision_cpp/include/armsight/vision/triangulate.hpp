@@ -34,10 +34,13 @@ struct Prior {
     Eigen::Matrix3d covariance;  ///< m^2
 };
 
+/// Shading moves all edge points of a view together: by this much, one standard deviation in each direction.
+inline constexpr double kViewShiftPx = 0.03;
+
 /// Position of a sphere's centre.
 struct Fix {
     Eigen::Vector3d position;    ///< world frame, metres
-    Eigen::Matrix3d covariance;  ///< m^2, from the normal matrix
+    Eigen::Matrix3d covariance;  ///< m^2, from the normal matrix and what kViewShiftPx adds
     double sigma_px;             ///< robust spread of the edge points around the outline
     int inliers;                 ///< edge points that agree, all views
     bool has_prior = false;      ///< whether what was known beforehand is in it
