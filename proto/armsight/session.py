@@ -9,6 +9,7 @@ import logging
 import os
 import re
 import resource
+import sys
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,7 +112,7 @@ def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session 
     Raises:
         ConfigError: Zenoh refuses the configuration, or a router can't listen.
     """
-    zenoh.init_log_from_env_or("error")
+    _log_to_stderr()
     settings = zenoh_settings(config)
     attempt = 0
     while not stop.is_set():
@@ -158,6 +159,22 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
         put("namespace", config.namespace)
     _put_shared_memory(put, config.shared_memory)
     return settings
+
+
+def _log_to_stderr() -> None:
+    """Starts Zenoh's own log, errors only unless RUST_LOG says otherwise.
+
+    Zenoh writes it to file descriptor 1 and can't be told otherwise, in the middle of what a command prints for pipes.
+    Descriptor 1 becomes stderr, and what Python prints goes on to where it pointed.
+    """
+    if sys.stdout is not sys.__stdout__ or sys.stdout is None:  # replaced: done before, or somebody captures it
+        zenoh.init_log_from_env_or("error")
+        return
+    sys.stdout.flush()
+    stdout = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, buffering=1)
+    os.dup2(2, 1)
+    sys.stdout = stdout
+    zenoh.init_log_from_env_or("error")
 
 
 def _put_shared_memory(put, wanted: str) -> None:  # type: ignore[no-untyped-def]

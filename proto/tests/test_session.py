@@ -143,6 +143,18 @@ def test_port_in_use_is_a_clear_error(endpoint: str) -> None:
         open_session(config, threading.Event())
 
 
+def test_zenoh_log_stays_out_of_what_is_printed(endpoint: str) -> None:
+    code = (
+        "import threading; from armsight.session import SessionConfig, open_session;"
+        f"c = SessionConfig(mode='router', endpoints=('{endpoint}',), namespace='', shared_memory='off');"
+        "open_session(c, threading.Event()).close(); print('printed')"
+    )
+    environment = os.environ | {"RUST_LOG": "zenoh=debug"}
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert run.stdout == "printed\n"
+    assert "zenoh" in run.stderr
+
+
 def run_probe(endpoint: str) -> "subprocess.Popen[str]":
     environment = os.environ | {"ARMSIGHT_CONNECT": endpoint, "ARMSIGHT_SHARED_MEMORY": "off"}
     return subprocess.Popen([sys.executable, "-c", SERVICE], env=environment, stdout=subprocess.PIPE, text=True)

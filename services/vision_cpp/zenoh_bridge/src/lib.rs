@@ -3,6 +3,8 @@
 //! Every error crosses as a C++ exception with Zenoh's own text. Nothing here panics on what comes from the bus: a panic
 //! across cxx ends the process. Receiving is polled with a timeout, so that C++ needs no callbacks.
 
+mod log;
+
 use std::error::Error;
 use std::time::Duration;
 
@@ -13,6 +15,8 @@ use zenoh_ext::{
     AdvancedPublisherBuilderExt, AdvancedSubscriberBuilderExt, CacheConfig, HistoryConfig,
     MissDetectionConfig,
 };
+
+use log::init as init_log;
 
 type Outcome<T> = Result<T, Box<dyn Error + Send + Sync>>;
 
@@ -140,11 +144,6 @@ fn config_with(config_json5: &str, path: &str, value: &str) -> Outcome<String> {
 
 fn config_value(config_json5: &str, path: &str) -> Outcome<String> {
     zenoh::Config::from_json5(config_json5)?.get_json(path)
-}
-
-/// Zenoh's own log, for errors only unless RUST_LOG says otherwise.
-fn init_log() {
-    zenoh::init_log_from_env_or("error");
 }
 
 impl Session {
