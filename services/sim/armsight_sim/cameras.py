@@ -25,7 +25,16 @@ def facet_shrinkage(slices: int, stacks: int) -> float:
 class Cameras:
     """All cameras of a model, drawn one after the other in one OpenGL context. Use from one thread; close it."""
 
-    def __init__(self, model: mujoco.MjModel, names: Sequence[str], width: int, height: int, samples: int) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        names: Sequence[str],
+        width: int,
+        height: int,
+        samples: int,
+        *,
+        emissive: bool = False,
+    ) -> None:
         """Allocates the context.
 
         Args:
@@ -34,12 +43,16 @@ class Cameras:
             width: columns of every image.
             height: rows of every image.
             samples: per pixel, 0 or 4 (software GL gives no more).
+            emissive: spheres with a material shine evenly, whatever the light.
         """
         self._names = tuple(names)
         drawn = copy.copy(model)
         drawn.vis.quality.offsamples = samples
         spheres = drawn.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
         drawn.geom_size[spheres] /= facet_shrinkage(drawn.vis.quality.numslices, drawn.vis.quality.numstacks)
+        if emissive:
+            materials = np.unique(drawn.geom_matid[spheres])
+            drawn.mat_emission[materials[materials >= 0]] = 1.0
         self._renderer = mujoco.Renderer(drawn, height, width)
         self._options = mujoco.MjvOption()
         flags = mujoco.mjtRndFlag

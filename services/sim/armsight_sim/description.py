@@ -9,7 +9,17 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
 from armsight.times import to_timestamp
-from armsight.v1.description_pb2 import ArmDescription, Attachment, Color, Joint, LinkShape, Marker
+from armsight.v1.description_pb2 import (
+    SHAPE_BOX,
+    SHAPE_SPHERE,
+    ArmDescription,
+    Attachment,
+    Body,
+    Color,
+    Joint,
+    LinkShape,
+    Marker,
+)
 from armsight.v1.geometry_pb2 import Quaternion, Transform, Vector3
 from armsight_sim.errors import ModelError
 
@@ -17,10 +27,11 @@ Vector = npt.NDArray[np.float64]
 
 _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 _SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE
+_SHAPES = {int(_SPHERE): SHAPE_SPHERE, int(mujoco.mjtGeom.mjGEOM_BOX): SHAPE_BOX}
 
 
-def describe_arm(model: mujoco.MjModel) -> ArmDescription:
-    """The description of the arm in its model.
+def describe_arm(model: mujoco.MjModel, with_bodies: bool = False) -> ArmDescription:
+    """The description of the arm in its model, and of the bodies that move by themselves beside it when they are drawn.
 
     Raises:
         ModelError: the model does not follow the conventions of models/arm.xml.
@@ -52,6 +63,9 @@ def describe_arm(model: mujoco.MjModel) -> ArmDescription:
             )
         elif name == "base" or name.startswith("link_"):
             description.links.append(_link(model, index, base))
+    if with_bodies:
+        moved = [i for i in range(model.ngeom) if model.body_mocapid[model.geom_bodyid[i]] >= 0]
+        description.bodies.extend(_body(model, index) for index in moved)
     if len({marker.name for marker in description.markers}) != len(description.markers) or not description.markers:
         raise ModelError("the model needs markers, each with a name of its own")
     return description
@@ -145,6 +159,14 @@ def _link(model: mujoco.MjModel, index: int, base: Vector) -> LinkShape:
         radius_m=radius,
         color=_color(model, index),
     )
+
+
+def _body(model: mujoco.MjModel, index: int) -> Body:
+    name, shape = model.geom(index).name, _SHAPES.get(int(model.geom_type[index]))
+    if shape is None:
+        raise ModelError(f"{name} must be a sphere or a box")
+    radius = model.geom_size[index, 0] if shape == SHAPE_SPHERE else 0.0
+    return Body(name=name, shape=shape, radius_m=radius, color=_color(model, index))
 
 
 def _color(model: mujoco.MjModel, geom: int) -> Color:

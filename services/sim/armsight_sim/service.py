@@ -71,7 +71,7 @@ class Simulation:
             calibration = description.calibration(model, name, settings.width, settings.height, settings.start_ns)
             bus.publisher(topics.CAMERA_CALIBRATION, name).put(calibration)
             bus.publisher(topics.CAMERA_POSE, name).put(description.camera_pose(model, name, settings.start_ns))
-        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(model))
+        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(model, with_bodies=settings.target == "visible"))
         block = settings.clock is ClockMode.LOCKSTEP
         self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
         self._frame_ids = [description.optical_frame(name) for name in self._names]
@@ -97,7 +97,14 @@ class Simulation:
     def run(self) -> None:
         """Frame after frame until asked to stop."""
         settings = self._settings
-        cameras = Cameras(self._model, self._names, settings.width, settings.height, settings.samples)
+        cameras = Cameras(
+            self._model,
+            self._names,
+            settings.width,
+            settings.height,
+            settings.samples,
+            emissive=settings.emissive,
+        )
         noise = None
         if settings.noise > 0.0:
             noise = Noise(settings.noise, settings.width * settings.height * 3, settings.seed)

@@ -12,6 +12,7 @@ from armsight_sim.clock import ClockMode
 from armsight_sim.targets import TARGETS
 
 AMBIENT_SWEEP = "sweep"
+LIT, EMISSIVE = "lit", "emissive"
 # 2200: simulated time, counted on from here, stays in 64 bits for every reader
 LATEST_START_NS = 7_258_118_400 * NS_PER_S
 
@@ -30,6 +31,8 @@ class Settings:
     ambient: float | None
     """Brightness of the ambient light; none: it sweeps slowly between 0.1 and 0.7."""
     noise: float
+    emissive: bool
+    """Whether markers shine by themselves: no shading, whatever the light."""
     seed: int
     pose: tuple[float, ...]
 
@@ -63,6 +66,7 @@ def parse_settings(arguments: argparse.Namespace) -> Settings:
         start_ns=_start_ns(arguments.start_time),
         ambient=_ambient(arguments.ambient),
         noise=arguments.noise,
+        emissive=arguments.markers == EMISSIVE,
         seed=arguments.seed,
         pose=tuple(arguments.pose),
     )
@@ -93,6 +97,12 @@ def argument_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--start-time", metavar="TIME", help="RFC 3339 or Unix nanoseconds, for runs that repeat")
     parser.add_argument("--ambient", default="0.4", help="ambient light, 0 to 1, or 'sweep' (default: 0.4)")
+    parser.add_argument(
+        "--markers",
+        choices=[LIT, EMISSIVE],
+        default=LIT,
+        help="lit: shaded like everything else; emissive: shine evenly by themselves (default: lit)",
+    )
     parser.add_argument("--noise", type=float, default=0.0, help="standard deviation in grey levels (default: 0)")
     parser.add_argument("--seed", type=int, default=1, help="of the noise (default: 1)")
     parser.add_argument("--pose", type=float, nargs="+", metavar="RAD", default=[], help="start pose (default: zero)")

@@ -71,6 +71,20 @@ def test_every_marker_is_seen_by_both_cameras_at_zero(world: World, cameras: Cam
             assert (np.abs(share - wanted).max(axis=2) < 0.1).sum() > 50, name
 
 
+def test_emissive_markers_shine_evenly(world: World) -> None:
+    world.reset(np.array([0.7, 0.0, 0.9, 0.9]))
+    spreads = {}
+    for emissive in (False, True):
+        cameras = Cameras(world.model, ["1"], 800, 800, 0, emissive=emissive)
+        image = cameras.draw(world.data)[0]
+        cameras.close()
+        red = (image[..., 0] > 60) & (image[..., 1] < 40) & (image[..., 2] < 40)
+        assert red.sum() > 100
+        spreads[emissive] = int(np.ptp(image[red][:, 0]))
+    assert spreads[True] == 0
+    assert spreads[False] > 50
+
+
 def test_background_is_light_and_neutral(world: World, cameras: Cameras) -> None:
     for image in cameras.draw(world.data):
         corner = image[:100, :100].reshape(-1, 3).astype(int)

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from armsight.v1.description_pb2 import SHAPE_BOX, SHAPE_SPHERE
 from armsight_sim import description
 from armsight_sim.world import World
 
@@ -33,6 +34,14 @@ def test_description_tells_the_reports_arm(world: World) -> None:
     assert [j.lower_rad for j in arm.joints] == pytest.approx([-math.pi, *[-math.pi / 2] * 3])
     # black: what occludes a marker must not be taken for one
     assert {(link.color.red, link.color.green, link.color.blue) for link in arm.links if link.joint} == {(0, 0, 0)}
+
+
+def test_bodies_beside_the_arm_are_described_when_they_are_drawn(world: World) -> None:
+    assert not description.describe_arm(world.model).bodies
+    sphere, box = description.describe_arm(world.model, with_bodies=True).bodies
+    assert (sphere.name, sphere.shape, sphere.radius_m) == ("target_sphere", SHAPE_SPHERE, 0.4)
+    assert (box.name, box.shape, box.radius_m) == ("target_box", SHAPE_BOX, 0.0)
+    assert sphere.color == box.color
 
 
 def test_calibration_is_opencvs_convention(world: World) -> None:
