@@ -38,7 +38,9 @@ void check(const MarkerEstimate& estimate) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
     static Pipeline pipeline({{.name = "red", .radius = 0.2, .color = {1.0, 0.0, 0.0}},
                               {.name = "green", .radius = 0.4, .color = {0.0, 1.0, 0.0}},
-                              {.name = "blue", .radius = 0.3, .color = {0.0, 0.0, 1.0}}});
+                              {.name = "blue", .radius = 0.3, .color = {0.0, 0.0, 1.0}},
+                              {.name = "ball", .radius = 0.3, .color = {1.0, 0.0, 1.0}},
+                              {.name = "crate", .radius = 0.0, .color = {1.0, 0.0, 1.0}, .shape = Shape::Box}});
     service::ImageMessage message{};
     try {
         message = service::decode_image({data, size});

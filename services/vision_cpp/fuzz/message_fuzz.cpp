@@ -25,6 +25,7 @@ void try_description(service::Bytes payload, service::Rig& rig) {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
     if (size == 0) return 0;
+    service::silence_protobuf();
     const service::Bytes payload(data + 1, size - 1);
     service::Rig rig;
     rig.set({.markers = {}, .cameras = {"1"}});

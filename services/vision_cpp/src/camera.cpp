@@ -83,6 +83,12 @@ std::optional<Eigen::Vector2d> project(const Camera& camera, const Eigen::Vector
                            K(1, 1) * d.y() + K(1, 2) + kWireToImage);
 }
 
+std::optional<Eigen::Vector2d> wire_pixel(const Camera& camera, const Eigen::Vector3d& point) {
+    auto pixel = project(camera, point);
+    if (pixel) *pixel -= Eigen::Vector2d::Constant(kWireToImage);
+    return pixel;
+}
+
 double pixels_per_radian(const Camera& camera, const Eigen::Vector3d& ray) {
     const double f = std::sqrt(camera.K(0, 0) * camera.K(1, 1));
     const double cos_off_axis = std::max(ray.z(), 0.1);

@@ -57,8 +57,9 @@ class EdgeFinder {
         }
         double sum = 0.0;
         for (int k = -1; k <= 2; ++k) {
-            const auto mix = unmix(at(k), foreground, background);
-            if (!mix) return std::nullopt;
+            const Eigen::Vector3d between = at(k);
+            const auto mix = unmix(between, foreground, background);
+            if (!mix || !is_mix(between, *mix, foreground, background)) return std::nullopt;
             const double coverage = 1.0 - mix->background;
             if (coverage > kDarkCoverage && mix->foreground < kMinBrightness * coverage) return std::nullopt;
             if (k == -1 && coverage < 1.0 - kCoverageTolerance) return std::nullopt;
@@ -69,6 +70,13 @@ class EdgeFinder {
     }
 
   private:
+    // False where a third colour lies between marker and background, such as the rim of a marker behind this one.
+    [[nodiscard]] static bool is_mix(const Eigen::Vector3d& pixel, const Mix& mix, const Eigen::Vector3d& foreground,
+                                     const Eigen::Vector3d& background) {
+        const Eigen::Vector3d rest = pixel - mix.foreground * foreground - mix.background * background;
+        return mix.foreground * foreground.maxCoeff() > -kNoise && rest.cwiseAbs().maxCoeff() < kNoise;
+    }
+
     [[nodiscard]] bool inside(int x, int y) const { return x >= 0 && y >= 0 && x < image_.width && y < image_.height; }
 
     [[nodiscard]] Eigen::Vector3d pixel(int x, int y) const {
@@ -143,7 +151,26 @@ Box collect(const MarkerMask& mask, const Disc& disc, EdgeScratch& scratch, Outl
     return box;
 }
 
+// True where the outline goes on by a pixel at most to both neighbours.
+bool is_even(const std::vector<EdgeScratch::Extent>& extents, int i, int EdgeScratch::Extent::* which) {
+    if (i == 0 || i + 1 >= std::ssize(extents)) return false;
+    const auto at = [&](int k) -> const EdgeScratch::Extent& { return extents[static_cast<std::size_t>(k)]; };
+    const auto continues = [&](int k) {
+        return at(k).first <= at(k).last && std::abs(at(k).*which - at(i).*which) <= 1;
+    };
+    return continues(i - 1) && continues(i + 1);
+}
+
 }  // namespace
+
+Disc disc_of(const Camera& camera, const Eigen::Vector3d& position, double radius_m) {
+    const Eigen::Vector3d c = camera.T_world_camera.inverse() * position;
+    const double distance = std::max(c.norm(), 1.001 * radius_m);
+    const Eigen::Vector3d axis = c / distance;
+    const auto centre = project(camera, axis);
+    if (!centre) return {.centre = {0.0, 0.0}, .radius = 0.0};
+    return {.centre = *centre, .radius = std::asin(radius_m / distance) * pixels_per_radian(camera, axis)};
+}
 
 std::optional<Mix> unmix(const Eigen::Vector3d& pixel, const Eigen::Vector3d& foreground,
                          const Eigen::Vector3d& background) {
@@ -158,7 +185,7 @@ std::optional<Mix> unmix(const Eigen::Vector3d& pixel, const Eigen::Vector3d& fo
 }
 
 void find_edges(const ImageView& image, const Camera& camera, const ColorCone& cone, const MarkerMask& mask,
-                const Disc& expected, EdgeScratch& scratch, Outline& outline) {
+                const Disc& expected, EdgeScratch& scratch, Outline& outline, Outlined shape) {
     outline.points.clear();
     const Box box = collect(mask, expected, scratch, outline);
     const EdgeFinder finder(image, cone);
@@ -166,6 +193,7 @@ void find_edges(const ImageView& image, const Camera& camera, const ColorCone& c
     // A row's coverage is the mean over its height; the outline's curvature puts that mean inside of the outline at
     // the middle of the row: x(y0) = mean + R^2 / (24 |dx|^3).
     const auto curvature_shift = [&](double across) {
+        if (shape == Outlined::Straight) return 0.0;
         const double r2 = expected.radius * expected.radius;
         return std::min(kMaxCurvatureShift, r2 / (24.0 * std::max(1.0, std::abs(across * across * across))));
     };
@@ -180,24 +208,29 @@ void find_edges(const ImageView& image, const Camera& camera, const ColorCone& c
         // outward must lead away from the centre, and rows are for steep parts of the outline only
         const double along = steep ? dx * outward.dx : dy * outward.dy;
         const double across = steep ? dy : dx;
-        if (along < std::abs(across) || (!steep && along == std::abs(across))) return;
+        const bool is_own = along > std::abs(across) || (steep && along == std::abs(across));
+        if (shape == Outlined::Round && !is_own) return;
         const auto found = finder.distance(x, y, outward);
         if (!found) return;
         // from the centre of pixel (x, y): its inner neighbour's inner border is 1.5 pixels back
         const double offset = *found - 1.5 + curvature_shift(along);
         add(x + 0.5 + offset * outward.dx, y + 0.5 + offset * outward.dy);
     };
+    const auto is_wanted = [&](const std::vector<EdgeScratch::Extent>& extents, int i,
+                               int EdgeScratch::Extent::* which) {
+        return shape == Outlined::Round || is_even(extents, i, which);
+    };
     for (int y = box.y0; y < box.y1; ++y) {
         const auto [first, last] = scratch.rows[static_cast<std::size_t>(y - box.y0)];
         if (first > last) continue;
-        end(first, y, {.dx = -1, .dy = 0});
-        end(last, y, {.dx = 1, .dy = 0});
+        if (is_wanted(scratch.rows, y - box.y0, &EdgeScratch::Extent::first)) end(first, y, {.dx = -1, .dy = 0});
+        if (is_wanted(scratch.rows, y - box.y0, &EdgeScratch::Extent::last)) end(last, y, {.dx = 1, .dy = 0});
     }
     for (int x = box.x0; x < box.x1; ++x) {
         const auto [first, last] = scratch.columns[static_cast<std::size_t>(x - box.x0)];
         if (first > last) continue;
-        end(x, first, {.dx = 0, .dy = -1});
-        end(x, last, {.dx = 0, .dy = 1});
+        if (is_wanted(scratch.columns, x - box.x0, &EdgeScratch::Extent::first)) end(x, first, {.dx = 0, .dy = -1});
+        if (is_wanted(scratch.columns, x - box.x0, &EdgeScratch::Extent::last)) end(x, last, {.dx = 0, .dy = 1});
     }
 }
 

@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numbers>
 #include <utility>
 
@@ -10,6 +11,8 @@
 #include "armsight/vision/edges.hpp"
 #include "armsight/vision/track.hpp"
 #include "armsight/vision/triangulate.hpp"
+#include "box_finder.hpp"
+#include "search.hpp"
 
 namespace armsight::vision {
 namespace {
@@ -31,12 +34,36 @@ constexpr double kCentreSigmaSeen = 0.05;
 constexpr double kCentreSigmaHidden = 0.8;
 constexpr int kMinInliersTracked = 8;
 constexpr double kMinCentreSigmaPx = 1.0;
+// Told from a box of the same colour: a circle at most this much larger than the patch, and this share of its points.
+constexpr double kMaxRoundness = 1.5;
+constexpr double kMinRoundShare = 0.4;
+constexpr std::size_t kFew = 8;
+// A marker is looked for this far around where it is expected: what its outline is searched in, and this many standard
+// deviations; unless the regions together are a good part of the picture.
+constexpr double kReach = 1.7;  // radii
+constexpr double kDoubt = 3.0;
+constexpr double kMarginPx = 4.0;
+constexpr double kMinReachPx = 33.0;  // what is narrower than a vector is read pixel by pixel
+constexpr double kMaxShare = 0.3;
 // One view agrees with the last state within this many standard deviations, or the last state is dropped (a reset).
 constexpr double kMaxPriorDistance = 4.0;
 
 const Component* largest(const MarkerMask& mask) {
     const auto found = std::ranges::max_element(mask.components, {}, &Component::area);
     return found == mask.components.end() || found->area < kMinAreaPx ? nullptr : &*found;
+}
+
+// In a picture of speckle there are thousands, and each costs a fit.
+PoolVector<const Component*> largest_few(const MarkerMask& mask) {
+    PoolVector<const Component*> result;
+    for (const Component& component : mask.components) {
+        if (component.area >= kMinAreaPx) result.push_back(&component);
+    }
+    const auto few = std::min(result.size(), kFew);
+    const auto middle = result.begin() + static_cast<std::ptrdiff_t>(few);
+    std::ranges::partial_sort(result, middle, std::ranges::greater{}, &Component::area);
+    result.resize(few);
+    return result;
 }
 
 // What one camera sees of one marker, on the way from mask to measurement.
@@ -49,10 +76,23 @@ struct Sighting {
     bool has_outline = false;
 };
 
+Sighting sighting_of(std::size_t frame, const Component& component) {
+    // of a part of the disc: its extent is nearer to the truth than its area
+    const double extent = 0.5 * std::max(component.x1 - component.x0, component.y1 - component.y0);
+    const double from_area = std::sqrt(static_cast<double>(component.area) / std::numbers::pi);
+    return {.frame = frame,
+            .outline = {},
+            .cone = std::nullopt,
+            .disc = {.centre = component.centroid(), .radius = std::max(extent, from_area)},
+            .centre = {}};
+}
+
 // One answer to where a marker is, and how far the views agree with it.
+using Sightings = PoolVector<Sighting>;
+
 struct Attempt {
     Fix fix;
-    std::vector<Sighting> sightings;
+    Sightings sightings;
     std::size_t worst;  ///< view that agrees least
     double agreement;   ///< of that view, 0 to 1
     double surprise;    ///< m from the last state; 0 without one
@@ -67,16 +107,10 @@ bool is_better(const Attempt& a, const Attempt& b) {
     return a.fix.inliers > b.fix.inliers;
 }
 
-Disc disc_of(const Camera& camera, const Eigen::Vector3d& axis, double half_angle, const Disc& otherwise) {
-    const auto centre = project(camera, axis);
+Disc disc_of(const Camera& camera, const Cone& cone, const Disc& otherwise) {
+    const auto centre = project(camera, cone.axis);
     if (!centre) return otherwise;
-    return {.centre = *centre, .radius = half_angle * pixels_per_radian(camera, axis)};
-}
-
-Disc disc_of(const Camera& camera, const Eigen::Vector3d& position, double radius_m) {
-    const Eigen::Vector3d c = camera.T_world_camera.inverse() * position;
-    const double distance = std::max(c.norm(), 1.001 * radius_m);
-    return disc_of(camera, c / distance, std::asin(radius_m / distance), {.centre = {0.0, 0.0}, .radius = 0.0});
+    return {.centre = *centre, .radius = cone.half_angle * pixels_per_radian(camera, cone.axis)};
 }
 
 Ray world_ray(const Camera& camera, const Eigen::Vector3d& direction) {
@@ -93,50 +127,126 @@ bool is_measurable(const CameraFrame& frame) {
 struct Pipeline::State {
     Classifier classifier;
     std::vector<MarkerModel> markers;
-    std::vector<ColorCone> cones;
-    std::vector<Track> tracks;
-    std::vector<std::vector<MarkerMask>> masks;  // by frame, then marker
-    std::vector<Sighting> sightings;
+    std::vector<ColorCone> cones;                // one a colour
+    std::vector<std::size_t> color_of;           // by marker: which of the cones is its own
+    std::vector<bool> is_shared;                 // by marker: whether a body of another shape has its colour
+    std::vector<Track> tracks;                   // of spheres
+    std::map<std::size_t, BoxFinder> boxes;      // by marker
+    std::vector<std::vector<MarkerMask>> masks;  // by frame, then colour
+    Sightings sightings;
     std::vector<CameraFrame> frames;
+    std::vector<MarkerMask> one_mask;  // scratch
+    std::vector<bool> is_sure;         // by marker: found where the middles of its patches meet
+    bool is_partial = false;           // whether masks are of a part of the frames only
     EdgeScratch scratch;
+    bool outlines_shown = false;
     std::optional<std::int64_t> answered_ns;
     std::size_t answered_frames = 0;
     std::vector<MarkerEstimate> answer;
 
+    [[nodiscard]] bool classify_expected(std::int64_t capture_ns);
+    void classify_all();
     void look(std::size_t marker);
+    void look_for_largest(std::size_t marker);
+    void look_for_round(std::size_t marker);
     void look_closely(std::size_t marker);
     void refine(std::size_t marker, const Eigen::Vector3d& position);
-    [[nodiscard]] std::vector<View> views() const;
-    [[nodiscard]] std::vector<Eigen::Vector3d> starts(std::size_t marker, std::int64_t capture_ns) const;
+    [[nodiscard]] PoolVector<View> views() const;
+    [[nodiscard]] PoolVector<Eigen::Vector3d> starts(std::size_t marker, std::int64_t capture_ns) const;
     [[nodiscard]] std::optional<Fix> fit(std::size_t marker, const Eigen::Vector3d& start, std::int64_t capture_ns);
     [[nodiscard]] std::optional<Attempt> settle(std::size_t marker, const Eigen::Vector3d& position,
                                                 std::int64_t capture_ns);
     [[nodiscard]] std::optional<Attempt> at_once(std::size_t marker, std::int64_t capture_ns);
-    [[nodiscard]] std::optional<Attempt> best_of(std::size_t marker, const std::vector<Sighting>& seen,
-                                                 std::int64_t capture_ns);
-    [[nodiscard]] std::optional<Attempt> without_one(std::size_t marker, const std::vector<Sighting>& seen,
+    [[nodiscard]] std::optional<Attempt> best_of(std::size_t marker, const Sightings& seen, std::int64_t capture_ns);
+    [[nodiscard]] std::optional<Attempt> without_one(std::size_t marker, const Sightings& seen,
                                                      std::int64_t capture_ns);
     [[nodiscard]] std::optional<Fix> locate(std::size_t marker, std::int64_t capture_ns);
     [[nodiscard]] Observation observe(const Sighting& sighting, double radius_m, const Eigen::Vector3d& position) const;
-    [[nodiscard]] MarkerEstimate estimate(std::size_t marker, std::int64_t capture_ns);
+    void estimate(std::size_t marker, std::int64_t capture_ns);
+    [[nodiscard]] PoolVector<SameColoredSphere> seen_spheres(std::size_t color) const;
+    [[nodiscard]] const MarkerMask& mask(std::size_t frame, std::size_t marker) const {
+        return masks[frame][color_of[marker]];
+    }
+    [[nodiscard]] const ColorCone& cone(std::size_t marker) const { return cones[color_of[marker]]; }
 };
 
-// First look: the largest patch of the colour in each frame.
+// Where each marker is expected, when all of them were certain at the last instant. Returns false where a search
+// there would cost as much as one everywhere, or where what is found does not end there.
+bool Pipeline::State::classify_expected(std::int64_t capture_ns) {
+    if (!boxes.empty() || std::ranges::find(is_sure, false) != is_sure.end()) return false;
+    bool is_whole = true;
+    for (std::size_t i = 0; i < frames.size() && is_whole; ++i) {
+        const CameraFrame& frame = frames[i];
+        masks[i].resize(cones.size());
+        double pixels = 0.0;
+        for (std::size_t marker = 0; marker < markers.size() && is_whole; ++marker) {
+            const auto expected = tracks[marker].predict(capture_ns);
+            if (!expected) return false;
+            const double radius = markers[marker].radius;
+            const Disc disc = disc_of(*frame.camera, expected->position, radius);
+            const double doubt = kDoubt * std::sqrt(expected->covariance.trace()) * disc.radius / radius;
+            const double reach = std::max(kReach * disc.radius + doubt + kMarginPx, kMinReachPx);
+            const Region region = region_around(frame.image, disc, reach);
+            pixels += static_cast<double>(region.x1 - region.x0) * (region.y1 - region.y0);
+            if (pixels > kMaxShare * frame.image.width * frame.image.height) return false;
+            is_whole =
+                classify_region(classifier, frame.image, cone(marker), region, masks[i][color_of[marker]], one_mask);
+        }
+    }
+    return is_whole;
+}
+
+void Pipeline::State::classify_all() {
+    for (std::size_t i = 0; i < frames.size(); ++i) classifier(frames[i].image, cones, masks[i]);
+    is_partial = false;
+}
+
+// First look: in each frame the patch that is most likely the marker.
 void Pipeline::State::look(std::size_t marker) {
+    if (is_shared[marker]) {
+        look_for_round(marker);
+    } else {
+        look_for_largest(marker);
+    }
+}
+
+void Pipeline::State::look_for_largest(std::size_t marker) {
     sightings.clear();
     for (std::size_t i = 0; i < frames.size(); ++i) {
-        const Component* component = largest(masks[i][marker]);
+        const Component* component = largest(mask(i, marker));
         if (component == nullptr) continue;
-        // of a part of the disc: its extent is nearer to the truth than its area
-        const double extent = 0.5 * std::max(component->x1 - component->x0, component->y1 - component->y0);
-        const double from_area = std::sqrt(static_cast<double>(component->area) / std::numbers::pi);
-        Sighting sighting{.frame = i,
-                          .outline = {},
-                          .cone = std::nullopt,
-                          .disc = {.centre = component->centroid(), .radius = std::max(extent, from_area)},
-                          .centre = {}};
+        Sighting sighting = sighting_of(i, *component);
         sighting.centre = ray(*frames[i].camera, sighting.disc.centre.x(), sighting.disc.centre.y());
         sightings.push_back(std::move(sighting));
+    }
+}
+
+// Where a box has the same colour: in each frame the patch of which most edge points lie on one circle
+// that is about as large as the patch. Straight edges lie on larger ones.
+void Pipeline::State::look_for_round(std::size_t marker) {
+    sightings.clear();
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+        std::optional<Sighting> best;
+        int most = 0;
+        for (const Component* component : largest_few(mask(i, marker))) {
+            Sighting sighting = sighting_of(i, *component);
+            find_edges(frames[i].image, *frames[i].camera, cone(marker), mask(i, marker), sighting.disc, scratch,
+                       sighting.outline);
+            const auto cone = fit_cone(sighting.outline.points);
+            if (!cone || cone->inliers <= most) continue;
+            const Disc disc = disc_of(*frames[i].camera, *cone, sighting.disc);
+            if (disc.radius > kMaxRoundness * sighting.disc.radius ||
+                cone->inliers < kMinRoundShare * static_cast<double>(sighting.outline.points.size())) {
+                continue;
+            }
+            most = cone->inliers;
+            sighting.cone = cone;
+            sighting.disc = disc;
+            best = std::move(sighting);
+        }
+        if (!best) continue;
+        best->centre = ray(*frames[i].camera, best->disc.centre.x(), best->disc.centre.y());
+        sightings.push_back(std::move(*best));
     }
 }
 
@@ -145,12 +255,12 @@ void Pipeline::State::look_closely(std::size_t marker) {
     for (Sighting& sighting : sightings) {
         const CameraFrame& frame = frames[sighting.frame];
         for (int pass = 0; pass < 2; ++pass) {
-            find_edges(frame.image, *frame.camera, cones[marker], masks[sighting.frame][marker], sighting.disc, scratch,
+            find_edges(frame.image, *frame.camera, cone(marker), mask(sighting.frame, marker), sighting.disc, scratch,
                        sighting.outline);
             const auto cone = fit_cone(sighting.outline.points);
             sighting.cone = cone;
             if (!cone) break;
-            sighting.disc = disc_of(*frame.camera, cone->axis, cone->half_angle, sighting.disc);
+            sighting.disc = disc_of(*frame.camera, *cone, sighting.disc);
         }
         sighting.centre = ray(*frame.camera, sighting.disc.centre.x(), sighting.disc.centre.y());
         sighting.has_outline = sighting.cone.has_value();
@@ -162,7 +272,7 @@ void Pipeline::State::refine(std::size_t marker, const Eigen::Vector3d& position
     for (Sighting& sighting : sightings) {
         const CameraFrame& frame = frames[sighting.frame];
         sighting.disc = disc_of(*frame.camera, position, markers[marker].radius);
-        find_edges(frame.image, *frame.camera, cones[marker], masks[sighting.frame][marker], sighting.disc, scratch,
+        find_edges(frame.image, *frame.camera, cone(marker), mask(sighting.frame, marker), sighting.disc, scratch,
                    sighting.outline);
         sighting.cone.reset();
         sighting.has_outline = sighting.outline.points.size() >= static_cast<std::size_t>(kMinInliersTracked) / 2;
@@ -175,8 +285,8 @@ void Pipeline::State::refine(std::size_t marker, const Eigen::Vector3d& position
     std::erase_if(sightings, is_hidden);
 }
 
-std::vector<View> Pipeline::State::views() const {
-    std::vector<View> result;
+PoolVector<View> Pipeline::State::views() const {
+    PoolVector<View> result;
     result.reserve(sightings.size());
     for (const Sighting& sighting : sightings) {
         const double radius = sighting.disc.radius;
@@ -196,9 +306,9 @@ std::vector<View> Pipeline::State::views() const {
 
 // Where to start the fit: where the rays of all views meet, and where each view alone puts the sphere. A view of which
 // an edge was mistaken for the sphere's outline spoils the first, but not what the others say by themselves.
-std::vector<Eigen::Vector3d> Pipeline::State::starts(std::size_t marker, std::int64_t capture_ns) const {
-    std::vector<Eigen::Vector3d> result;
-    std::vector<Ray> rays;
+PoolVector<Eigen::Vector3d> Pipeline::State::starts(std::size_t marker, std::int64_t capture_ns) const {
+    PoolVector<Eigen::Vector3d> result;
+    PoolVector<Ray> rays;
     rays.reserve(sightings.size());
     for (const Sighting& s : sightings) rays.push_back(world_ray(*frames[s.frame].camera, s.centre));
     if (const auto point = triangulate(rays)) result.push_back(*point);
@@ -220,11 +330,13 @@ std::optional<Fix> Pipeline::State::fit(std::size_t marker, const Eigen::Vector3
     if (sightings.size() >= 2) return fit_sphere(views(), radius, start);
     const auto prior = tracks[marker].predict(capture_ns);
     auto alone = sightings.front().has_outline ? fit_sphere(views(), radius, start) : std::nullopt;
-    if (!prior) return alone;
+    // a box may look round from one side: one view that the past does not confirm says nothing then
+    std::optional<Fix> unconfirmed = is_shared[marker] ? std::nullopt : alone;
+    if (!prior) return unconfirmed;
     if (alone) {
         const Eigen::Vector3d apart = alone->position - prior->position;
         const Eigen::Matrix3d covariance = alone->covariance + prior->covariance;
-        if (apart.dot(covariance.inverse() * apart) > kMaxPriorDistance * kMaxPriorDistance) return alone;
+        if (apart.dot(covariance.inverse() * apart) > kMaxPriorDistance * kMaxPriorDistance) return unconfirmed;
     }
     const auto together = fit_sphere(views(), radius, start, prior);
     return together ? together : alone;
@@ -243,12 +355,19 @@ Observation Pipeline::State::observe(const Sighting& sighting, double radius_m, 
     const Eigen::Vector2d centre = seen.value_or(sighting.outline.centroid);
     const auto area = static_cast<double>(sighting.outline.area);
     const double whole = std::numbers::pi * std::max(disc.radius * disc.radius, 1.0);
-    return {.camera = camera.name,
-            .u = centre.x() - kWireToImage,
-            .v = centre.y() - kWireToImage,
-            .radius_px = disc.radius,
-            .area_px = area,
-            .visible = std::clamp(area / whole, 0.0, 1.0)};
+    Observation result{.camera = camera.name,
+                       .u = centre.x() - kWireToImage,
+                       .v = centre.y() - kWireToImage,
+                       .radius_px = disc.radius,
+                       .area_px = area,
+                       .visible = std::clamp(area / whole, 0.0, 1.0),
+                       .corners = {},
+                       .inliers = {}};
+    for (const EdgePoint& point : sighting.outline.points) {
+        if (!outlines_shown || std::abs(residual_px(point, joint.axis, joint.half_angle)) > kAgreementPx) continue;
+        if (const auto pixel = wire_pixel(camera, point.ray)) result.inliers.push_back(*pixel);
+    }
+    return result;
 }
 
 // Looks where the marker would be, fits, and tells how far each view agrees with what comes out.
@@ -279,7 +398,7 @@ std::optional<Attempt> Pipeline::State::settle(std::size_t marker, const Eigen::
 // The usual case, and the quick one: where the middles of all patches meet, the sphere's outline is seen in all views.
 std::optional<Attempt> Pipeline::State::at_once(std::size_t marker, std::int64_t capture_ns) {
     const std::size_t views_seen = sightings.size();
-    std::vector<Ray> rays;
+    PoolVector<Ray> rays;
     rays.reserve(views_seen);
     for (const Sighting& s : sightings) rays.push_back(world_ray(*frames[s.frame].camera, s.centre));
     const auto middle = triangulate(rays);
@@ -293,8 +412,7 @@ std::optional<Attempt> Pipeline::State::at_once(std::size_t marker, std::int64_t
 
 // From every start, once with all that was seen at first and once with what is seen at the start itself: a larger patch
 // of the colour hides the marker from the first look, not from the second.
-std::optional<Attempt> Pipeline::State::best_of(std::size_t marker, const std::vector<Sighting>& seen,
-                                                std::int64_t capture_ns) {
+std::optional<Attempt> Pipeline::State::best_of(std::size_t marker, const Sightings& seen, std::int64_t capture_ns) {
     sightings = seen;
     std::optional<Attempt> best;
     for (const Eigen::Vector3d& start : starts(marker, capture_ns)) {
@@ -312,11 +430,11 @@ std::optional<Attempt> Pipeline::State::best_of(std::size_t marker, const std::v
     return best;
 }
 
-std::optional<Attempt> Pipeline::State::without_one(std::size_t marker, const std::vector<Sighting>& seen,
+std::optional<Attempt> Pipeline::State::without_one(std::size_t marker, const Sightings& seen,
                                                     std::int64_t capture_ns) {
     std::optional<Attempt> best;
     for (std::size_t left_out = 0; left_out < seen.size(); ++left_out) {
-        std::vector<Sighting> others = seen;
+        Sightings others = seen;
         others.erase(others.begin() + static_cast<std::ptrdiff_t>(left_out));
         auto next = best_of(marker, others, capture_ns);
         if (next && (!best || is_better(*next, *best))) best = std::move(next);
@@ -327,8 +445,16 @@ std::optional<Attempt> Pipeline::State::without_one(std::size_t marker, const st
 // Leaves the sightings that belong to the answer.
 std::optional<Fix> Pipeline::State::locate(std::size_t marker, std::int64_t capture_ns) {
     look(marker);
-    std::vector<Sighting> seen = sightings;
-    if (const auto sure = at_once(marker, capture_ns)) return sure->fix;
+    Sightings seen = sightings;
+    auto sure = at_once(marker, capture_ns);
+    if (!sure && is_partial) {
+        classify_all();
+        look(marker);
+        seen = sightings;
+        sure = at_once(marker, capture_ns);
+    }
+    is_sure[marker] = sure.has_value();
+    if (sure) return sure->fix;
     sightings = seen;
     look_closely(marker);
     seen = sightings;
@@ -349,16 +475,12 @@ std::optional<Fix> Pipeline::State::locate(std::size_t marker, std::int64_t capt
     return std::nullopt;
 }
 
-MarkerEstimate Pipeline::State::estimate(std::size_t marker, std::int64_t capture_ns) {
+void Pipeline::State::estimate(std::size_t marker, std::int64_t capture_ns) {
     const MarkerModel& model = markers[marker];
+    MarkerEstimate& result = answer[marker];
     Track& track = tracks[marker];
     const std::optional<Fix> fix = locate(marker, capture_ns);
-    MarkerEstimate result{.name = model.name,
-                          .status = MarkerStatus::Lost,
-                          .position = std::nullopt,
-                          .covariance = Eigen::Matrix3d::Zero(),
-                          .age_s = track.age_s(capture_ns),
-                          .observations = {}};
+    result.set_lost(track.age_s(capture_ns));
     if (fix) {
         bool whole = true;
         for (const Sighting& sighting : sightings) {
@@ -378,13 +500,39 @@ MarkerEstimate Pipeline::State::estimate(std::size_t marker, std::int64_t captur
         result.position = prior->position;
         result.covariance = prior->covariance;
     }
+}
+
+PoolVector<SameColoredSphere> Pipeline::State::seen_spheres(std::size_t color) const {
+    PoolVector<SameColoredSphere> result;
+    for (std::size_t i = 0; i < markers.size(); ++i) {
+        if (color_of[i] != color || markers[i].shape != Shape::Sphere) continue;
+        const auto& position = answer[i].position;
+        if (position && answer[i].status != MarkerStatus::Lost) result.push_back({*position, markers[i].radius});
+    }
     return result;
 }
 
 Pipeline::Pipeline(std::vector<MarkerModel> markers, Classifier classifier) : state_(std::make_unique<State>()) {
     state_->classifier = std::move(classifier);
-    state_->cones = color_cones(markers);
+    std::vector<MarkerModel> palette;  // one marker of each colour
+    for (const MarkerModel& marker : markers) {
+        const auto is_twin = [&](const MarkerModel& m) { return m.color == marker.color && m.shape == marker.shape; };
+        // of two with the same shape, color_cones() says that they cannot be told apart
+        const bool is_ambiguous = std::ranges::count_if(markers, is_twin) > 1;
+        const auto same = is_ambiguous ? palette.end() : std::ranges::find(palette, marker.color, &MarkerModel::color);
+        state_->color_of.push_back(static_cast<std::size_t>(same - palette.begin()));
+        if (same == palette.end()) palette.push_back(marker);
+    }
+    state_->cones = color_cones(palette);
+    for (std::size_t i = 0; i < markers.size(); ++i) {
+        const std::size_t color = state_->color_of[i];
+        state_->is_shared.push_back(std::ranges::count(state_->color_of, color) > 1);
+        if (markers[i].shape == Shape::Box) state_->boxes.emplace(i, BoxFinder(color));
+    }
     state_->tracks.resize(markers.size());
+    state_->is_sure.resize(markers.size());
+    state_->answer.resize(markers.size());
+    for (std::size_t i = 0; i < markers.size(); ++i) state_->answer[i].name = markers[i].name;
     state_->markers = std::move(markers);
 }
 
@@ -392,7 +540,7 @@ Pipeline::~Pipeline() = default;
 Pipeline::Pipeline(Pipeline&&) noexcept = default;
 Pipeline& Pipeline::operator=(Pipeline&&) noexcept = default;
 
-std::vector<MarkerEstimate> Pipeline::process(std::int64_t capture_ns, std::span<const CameraFrame> frames) {
+const std::vector<MarkerEstimate>& Pipeline::process(std::int64_t capture_ns, std::span<const CameraFrame> frames) {
     State& state = *state_;
     if (state.answered_ns == capture_ns && state.answered_frames == frames.size()) return state.answer;
     if (state.answered_ns && capture_ns < *state.answered_ns) reset();  // another run: its past is not this one's
@@ -400,18 +548,30 @@ std::vector<MarkerEstimate> Pipeline::process(std::int64_t capture_ns, std::span
     state.frames.clear();
     std::ranges::copy_if(frames, std::back_inserter(state.frames), is_measurable);
     state.masks.resize(state.frames.size());
-    for (std::size_t i = 0; i < state.frames.size(); ++i)
-        state.classifier(state.frames[i].image, state.cones, state.masks[i]);
+    state.is_partial = state.classify_expected(capture_ns);
+    if (!state.is_partial) state.classify_all();
 
-    state.answer.clear();
-    for (std::size_t i = 0; i < state.markers.size(); ++i) state.answer.push_back(state.estimate(i, capture_ns));
+    for (std::size_t i = 0; i < state.markers.size(); ++i) {
+        if (!state.boxes.contains(i)) state.estimate(i, capture_ns);
+    }
+    // what is a sphere's is not a box's
+    for (auto& [i, box] : state.boxes) {
+        const std::size_t color = state.color_of[i];
+        box.find(capture_ns, state.frames, state.masks, state.cones[color], state.seen_spheres(color), state.answer[i]);
+        if (!state.outlines_shown) continue;
+        for (Observation& observation : state.answer[i].observations) box.show_outline(observation);
+    }
     state.answered_ns = capture_ns;
     state.answered_frames = frames.size();
     return state.answer;
 }
 
+void Pipeline::show_outlines(bool shown) { state_->outlines_shown = shown; }
+
 void Pipeline::reset() {
     std::ranges::fill(state_->tracks, Track{});
+    state_->is_sure.assign(state_->is_sure.size(), false);
+    for (auto& [marker, box] : state_->boxes) box.reset();
     state_->answered_ns.reset();
 }
 

@@ -5,7 +5,8 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
-#include <vector>
+
+#include "armsight/vision/pool.hpp"
 
 namespace armsight::vision {
 namespace {
@@ -17,12 +18,12 @@ constexpr double kTukey = 4.685;         // 95 % efficient for normal errors
 constexpr double kMinSigmaPx = 0.05;
 constexpr double kStartSigmaPx = 0.5;  // before the spread is known
 // Errors of neighbouring edge points go together (both come from the same facets and samples): independent errors of
-// the same spread would make the covariance this much too small. This and kViewShiftPx were measured on renders with 0
-// and 4 samples.
-constexpr double kCorrelation = 1.5;
+// the same spread would make the covariance this much too small. This and the shifts of views were measured on renders
+// with 0 and 4 samples.
+constexpr double kCorrelation = 1.2;
 constexpr double kMaxConditionedVariance = 1e4;  // m^2; beyond it the position is not determined
 
-double median(std::vector<double>& values) {
+double median(PoolVector<double>& values) {
     const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
     std::nth_element(values.begin(), middle, values.end());
     return *middle;
@@ -32,7 +33,7 @@ struct Normal {
     Eigen::Matrix3d matrix = Eigen::Matrix3d::Zero();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
     Eigen::Matrix3d of_shifts = Eigen::Matrix3d::Zero();  ///< covariance of `right` when views shift by one pixel
-    std::vector<double> residuals;
+    PoolVector<double> residuals;
     int inliers = 0;
     bool in_front = true;
 };
@@ -148,7 +149,8 @@ std::optional<Fix> fit_sphere(std::span<const View> views, double radius, const 
     bool invertible = false;
     Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
     normal.matrix.computeInverseWithCheck(covariance, invertible, 1e-12);
-    covariance += kViewShiftPx * kViewShiftPx * covariance * normal.of_shifts * covariance;
+    const double shift_px = std::hypot(kViewShiftPx, kViewShiftOfSpread * sigma_px);
+    covariance += shift_px * shift_px * covariance * normal.of_shifts * covariance;
     if (!invertible || !covariance.allFinite() || !(covariance.trace() < kMaxConditionedVariance)) return std::nullopt;
     return Fix{.position = position,
                .covariance = covariance,

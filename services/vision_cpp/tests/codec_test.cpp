@@ -176,20 +176,58 @@ TEST(DecodeDescription, NeedsMarkersWithNamesAndRadii) {
     EXPECT_THROW((void)decode_description(bytes(message.SerializeAsString())), MalformedMessage);
 }
 
+TEST(DecodeDescription, BodiesComeAfterTheMarkers) {
+    auto message = description();
+    auto& sphere = *message.add_bodies();
+    sphere.set_name("ball");
+    sphere.set_shape(v1::SHAPE_SPHERE);
+    sphere.set_radius_m(0.4);
+    auto& box = *message.add_bodies();
+    box.set_name("crate");
+    box.set_shape(v1::SHAPE_BOX);
+    const auto taken = decode_description(bytes(message.SerializeAsString())).markers;
+    const auto count = static_cast<std::size_t>(message.markers_size());
+    ASSERT_EQ(taken.size(), count + 2);
+    EXPECT_EQ(taken[count].shape, Shape::Sphere);
+    EXPECT_EQ(taken[count].radius, 0.4);
+    EXPECT_EQ(taken[count + 1].name, "crate");
+    EXPECT_EQ(taken[count + 1].shape, Shape::Box);
+
+    const auto expect_refused = [&] {
+        EXPECT_THROW((void)decode_description(bytes(message.SerializeAsString())), MalformedMessage);
+    };
+    sphere.set_radius_m(0.0);
+    expect_refused();
+    sphere.set_radius_m(0.4);
+    box.set_shape(v1::SHAPE_UNSPECIFIED);
+    expect_refused();
+    box.set_shape(v1::SHAPE_BOX);
+    box.set_name("");
+    expect_refused();
+}
+
 TEST(EncodePositions, CarriesEverythingAndNoPositionWhereThereIsNone) {
-    std::vector<MarkerEstimate> estimates{
-        {.name = "red",
-         .status = MarkerStatus::OneView,
-         .position = Eigen::Vector3d(1.0, 2.0, 3.0),
-         .covariance = Eigen::Vector3d(1e-6, 2e-6, 3e-6).asDiagonal(),
-         .age_s = 1.25,
-         .observations = {{.camera = "1", .u = 10.5, .v = 20.5, .radius_px = 8.0, .area_px = 190.0, .visible = 0.9}}},
-        {.name = "blue",
-         .status = MarkerStatus::Lost,
-         .position = std::nullopt,
-         .covariance = Eigen::Matrix3d::Zero(),
-         .age_s = 0.0,
-         .observations = {}}};
+    std::vector<MarkerEstimate> estimates{{.name = "red",
+                                           .status = MarkerStatus::OneView,
+                                           .position = Eigen::Vector3d(1.0, 2.0, 3.0),
+                                           .covariance = Eigen::Vector3d(1e-6, 2e-6, 3e-6).asDiagonal(),
+                                           .extent = Eigen::Vector3d(0.8, 0.4, 0.2),
+                                           .age_s = 1.25,
+                                           .observations = {{.camera = "1",
+                                                             .u = 10.5,
+                                                             .v = 20.5,
+                                                             .radius_px = 8.0,
+                                                             .area_px = 190.0,
+                                                             .visible = 0.9,
+                                                             .corners = {},
+                                                             .inliers = {}}}},
+                                          {.name = "blue",
+                                           .status = MarkerStatus::Lost,
+                                           .position = std::nullopt,
+                                           .covariance = Eigen::Matrix3d::Zero(),
+                                           .extent = std::nullopt,
+                                           .age_s = 0.0,
+                                           .observations = {}}};
     const auto message =
         encode_positions(5'000'000'007, estimates, {.frames_sent_ns = 1, .received_ns = 2, .sent_ns = 3});
     EXPECT_EQ(message.capture_time().seconds(), 5);
@@ -197,6 +235,8 @@ TEST(EncodePositions, CarriesEverythingAndNoPositionWhereThereIsNone) {
     EXPECT_EQ(message.markers(0).status(), v1::MARKER_STATUS_ONE_VIEW);
     EXPECT_EQ(message.markers(0).position().y(), 2.0);
     EXPECT_EQ(message.markers(0).covariance(4), 2e-6);
+    EXPECT_EQ(message.markers(0).extent().z(), 0.2);
+    EXPECT_FALSE(message.markers(1).has_extent());
     EXPECT_EQ(message.markers(0).age().seconds(), 1);
     EXPECT_EQ(message.markers(0).age().nanos(), 250'000'000);
     EXPECT_EQ(message.markers(0).observations(0).camera(), "1");
@@ -321,7 +361,9 @@ TEST(DecodeDescription, NoBytesCrashItAndWhatIsTakenIsUsable) {
     expect_decoded_or_malformed(description().SerializeAsString(), 103, [](Bytes b) {
         const Description taken = decode_description(b);
         EXPECT_FALSE(taken.markers.empty());
-        for (const MarkerModel& marker : taken.markers) EXPECT_GT(marker.radius, 0.0);
+        for (const MarkerModel& marker : taken.markers) {
+            EXPECT_EQ(marker.radius > 0.0, marker.shape == Shape::Sphere);
+        }
     });
 }
 
@@ -407,14 +449,28 @@ TEST(EncodePositions, SurvivesTheWire) {
     Eigen::Matrix3d covariance;
     covariance << 1, 2, 3, 4, 5, 6, 7, 8, 9;
     const auto estimate = [&](const std::string& name, MarkerStatus status) {
-        return MarkerEstimate{
-            .name = name,
-            .status = status,
-            .position = Eigen::Vector3d(1.5, -2.5, 3.5),
-            .covariance = covariance,
-            .age_s = 0.0,
-            .observations = {{.camera = "1", .u = 10.5, .v = 20.25, .radius_px = 8.0, .area_px = 190.0, .visible = 0.9},
-                             {.camera = "2", .u = 1.0, .v = 2.0, .radius_px = 3.0, .area_px = 4.0, .visible = 0.5}}};
+        return MarkerEstimate{.name = name,
+                              .status = status,
+                              .position = Eigen::Vector3d(1.5, -2.5, 3.5),
+                              .covariance = covariance,
+                              .extent = std::nullopt,
+                              .age_s = 0.0,
+                              .observations = {{.camera = "1",
+                                                .u = 10.5,
+                                                .v = 20.25,
+                                                .radius_px = 8.0,
+                                                .area_px = 190.0,
+                                                .visible = 0.9,
+                                                .corners = {},
+                                                .inliers = {}},
+                                               {.camera = "2",
+                                                .u = 1.0,
+                                                .v = 2.0,
+                                                .radius_px = 3.0,
+                                                .area_px = 4.0,
+                                                .visible = 0.5,
+                                                .corners = {},
+                                                .inliers = {}}}};
     };
     const std::vector<MarkerEstimate> estimates{
         estimate("green", MarkerStatus::Tracked), estimate("yellow", MarkerStatus::PartlyOccluded),
@@ -457,6 +513,7 @@ TEST(EncodePositions, AgeIsAlwaysAValidDuration) {
                                                      .status = MarkerStatus::Lost,
                                                      .position = std::nullopt,
                                                      .covariance = Eigen::Matrix3d::Zero(),
+                                                     .extent = std::nullopt,
                                                      .age_s = age_s,
                                                      .observations = {}}};
         const auto message = encode_positions(0, estimates, {.frames_sent_ns = 0, .received_ns = 0, .sent_ns = 0});

@@ -121,6 +121,17 @@ TEST(Edges, EdgesSharedWithAnotherMarkerAreLeftOut) {
     EXPECT_LT(found.worst_px, 0.25) << "an edge of the blue marker was taken for the red one's";
 }
 
+TEST(Edges, TheRimOfAMarkerBehindIsNotTakenForBackground) {
+    const Camera camera = testing::front_camera();
+    for (const Eigen::Vector3d& color : {Eigen::Vector3d(0.0, 1.0, 1.0), Eigen::Vector3d(0.0, 0.0, 1.0)}) {
+        // 2 pixels wide on one side, 4 on the other
+        const testing::Scene scene{
+            .spheres = {{{0.0, 0.0, 6.5}, 0.6, {1.0, 0.0, 0.0}}, {{-1.5, 0.04, 6.5}, 0.77, color}}, .capsules = {}};
+        const Found found = find(scene, testing::draw(scene, camera, 6), camera);
+        EXPECT_LT(found.worst_px, 0.25) << "an edge between three colours was measured: " << color.transpose();
+    }
+}
+
 TEST(Edges, OrderOfChannelsMakesNoDifference) {
     const Camera camera = testing::front_camera(400);
     const testing::Scene scene{.spheres = {{{0.3, 1.7, 7.2}, 0.6, {1.0, 0.0, 0.0}}}, .capsules = {}};

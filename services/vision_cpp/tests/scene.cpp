@@ -37,6 +37,22 @@ double hit_capsule(const Eigen::Vector3d& origin, const Eigen::Vector3d& d, cons
     return on_side ? std::min(ends, t) : ends;
 }
 
+// Where the ray enters, and through which side.
+double hit_cuboid(const Eigen::Vector3d& origin, const Eigen::Vector3d& d, const Cuboid& cuboid, int& side) {
+    double enter = -kNothing;
+    double leave = kNothing;
+    for (int i = 0; i < 3; ++i) {
+        const double a = (cuboid.centre[i] - cuboid.half[i] - origin[i]) / d[i];
+        const double b = (cuboid.centre[i] + cuboid.half[i] - origin[i]) / d[i];
+        if (std::min(a, b) > enter) {
+            enter = std::min(a, b);
+            side = i;
+        }
+        leave = std::min(leave, std::max(a, b));
+    }
+    return enter < leave && enter > 0.0 ? enter : kNothing;
+}
+
 Eigen::Vector3d color_of(const Scene& scene, const Eigen::Vector3d& origin, const Eigen::Vector3d& d) {
     double nearest = kNothing;
     Eigen::Vector3d color = Eigen::Vector3d::Constant(scene.background);
@@ -47,6 +63,13 @@ Eigen::Vector3d color_of(const Scene& scene, const Eigen::Vector3d& origin, cons
         nearest = t;
         const Eigen::Vector3d normal = (origin + t * d - sphere.centre) / sphere.radius;
         color = sphere.color * (0.5 + 0.4 * std::max(0.0, normal.dot(light)));
+    }
+    for (const Cuboid& cuboid : scene.cuboids) {
+        int side = 0;
+        const double t = hit_cuboid(origin, d, cuboid, side);
+        if (t >= nearest) continue;
+        nearest = t;
+        color = cuboid.color * (0.5 + 0.13 * side);
     }
     for (const Capsule& capsule : scene.capsules) {
         const double t = hit_capsule(origin, d, capsule);

@@ -22,8 +22,15 @@ struct Capsule {
     double radius;
 };
 
+/// Its sides along the axes of the world.
+struct Cuboid {
+    Eigen::Vector3d centre, half;
+    Eigen::Vector3d color;
+};
+
 struct Scene {
     std::vector<Sphere> spheres;
+    std::vector<Cuboid> cuboids = {};
     std::vector<Capsule> capsules;
     double background = 0.7;  ///< grey, 0 to 1
 };

@@ -9,7 +9,7 @@
 
 namespace armsight::vision::service {
 
-/// Outline, name and status of every marker that one camera saw, to draw over its image.
+/// Outline, inliers, centre, name and status of every marker that one camera saw, to draw over its image.
 [[nodiscard]] foxglove::ImageAnnotations annotate(std::int64_t capture_ns, std::string_view camera,
                                                   std::span<const MarkerEstimate> estimates);
 

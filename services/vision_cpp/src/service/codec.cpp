@@ -1,6 +1,7 @@
 #include "service/codec.hpp"
 
 #include <google/protobuf/io/coded_stream.h>
+#include <google/protobuf/stubs/logging.h>
 #include <google/protobuf/timestamp.pb.h>
 
 #include <algorithm>
@@ -75,6 +76,21 @@ bool skip(google::protobuf::io::CodedInputStream& stream, Bytes payload, WireTyp
     return false;
 }
 
+Eigen::Vector3d color_of(const v1::Color& color) { return {color.red(), color.green(), color.blue()}; }
+
+MarkerModel decode_body(const v1::Body& body) {
+    if (!is_name(body.name())) throw MalformedMessage("a body without a plain name");
+    MarkerModel result{.name = body.name(), .radius = 0.0, .color = color_of(body.color()), .shape = Shape::Box};
+    if (body.shape() == v1::SHAPE_BOX) return result;
+    if (body.shape() != v1::SHAPE_SPHERE) throw MalformedMessage("body '" + body.name() + "' is of no known shape");
+    if (!(body.radius_m() > 0.0) || body.radius_m() > kMaxMetres) {
+        throw MalformedMessage("body '" + body.name() + "' needs a positive radius");
+    }
+    result.radius = body.radius_m();
+    result.shape = Shape::Sphere;
+    return result;
+}
+
 v1::MarkerStatus status_of(MarkerStatus status) {
     switch (status) {
         case MarkerStatus::Tracked:
@@ -90,6 +106,8 @@ v1::MarkerStatus status_of(MarkerStatus status) {
 }
 
 }  // namespace
+
+void silence_protobuf() { google::protobuf::SetLogHandler(nullptr); }
 
 // protobuf's own parser would copy the pixels.
 ImageMessage decode_image(Bytes payload) {
@@ -182,18 +200,18 @@ Description decode_description(Bytes payload) {
     const auto message = parse<v1::ArmDescription>(payload);
     Description result;
     if (message.markers().empty()) throw MalformedMessage("a description without markers");
-    if (message.markers_size() > kMaxMarkers || message.cameras_size() > kMaxCameras) {
-        throw MalformedMessage("a description with more than 64 markers or 16 cameras");
+    if (message.markers_size() + message.bodies_size() > kMaxMarkers || message.cameras_size() > kMaxCameras) {
+        throw MalformedMessage("a description with more than 64 markers and bodies or 16 cameras");
     }
     for (const auto& marker : message.markers()) {
         if (!is_name(marker.name())) throw MalformedMessage("a marker without a plain name");
         if (!(marker.radius_m() > 0.0) || marker.radius_m() > kMaxMetres) {
             throw MalformedMessage("marker '" + marker.name() + "' needs a positive radius");
         }
-        result.markers.push_back({.name = marker.name(),
-                                  .radius = marker.radius_m(),
-                                  .color = {marker.color().red(), marker.color().green(), marker.color().blue()}});
+        result.markers.push_back(
+            {.name = marker.name(), .radius = marker.radius_m(), .color = color_of(marker.color())});
     }
+    for (const auto& body : message.bodies()) result.markers.push_back(decode_body(body));
     for (const auto& camera : message.cameras()) {
         if (!is_name(camera) || std::ranges::count(message.cameras(), camera) != 1) {
             throw MalformedMessage("cameras need plain names of their own");
@@ -202,6 +220,16 @@ Description decode_description(Bytes payload) {
     }
     return result;
 }
+
+namespace {
+
+void set(v1::Vector3& message, const Eigen::Vector3d& vector) {
+    message.set_x(vector.x());
+    message.set_y(vector.y());
+    message.set_z(vector.z());
+}
+
+}  // namespace
 
 v1::JointPositions encode_positions(std::int64_t capture_ns, std::span<const MarkerEstimate> estimates,
                                     const Stages& stages) {
@@ -213,18 +241,17 @@ v1::JointPositions encode_positions(std::int64_t capture_ns, std::span<const Mar
         marker.set_name(estimate.name);
         marker.set_status(status_of(estimate.status));
         if (estimate.position) {
-            marker.mutable_position()->set_x(estimate.position->x());
-            marker.mutable_position()->set_y(estimate.position->y());
-            marker.mutable_position()->set_z(estimate.position->z());
+            set(*marker.mutable_position(), *estimate.position);
             for (int i = 0; i < 9; ++i) marker.add_covariance(estimate.covariance(i / 3, i % 3));
         }
+        if (const auto& extent = estimate.extent) set(*marker.mutable_extent(), *extent);
         const double whole = std::floor(estimate.age_s);
         marker.mutable_age()->set_seconds(static_cast<std::int64_t>(whole));
         marker.mutable_age()->set_nanos(
             static_cast<std::int32_t>(std::min(999'999'999.0, std::round((estimate.age_s - whole) * 1e9))));
         for (const Observation& observation : estimate.observations) {
             auto& camera = *marker.add_observations();
-            camera.set_camera(observation.camera);
+            camera.set_camera(observation.camera.data(), observation.camera.size());
             camera.set_u_px(observation.u);
             camera.set_v_px(observation.v);
             camera.set_radius_px(observation.radius_px);

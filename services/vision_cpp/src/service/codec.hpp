@@ -23,6 +23,9 @@ class MalformedMessage : public std::runtime_error {
     using std::runtime_error::runtime_error;
 };
 
+/// Keeps protobuf from writing lines of its own to stderr: what is malformed is counted, and told by whoever parsed it.
+void silence_protobuf();
+
 /// Fields of a foxglove.RawImage; `data` points into the message's bytes, which are never copied.
 struct ImageMessage {
     std::int64_t capture_ns;
@@ -45,7 +48,7 @@ struct Calibration {
 
 /// The part of armsight.v1.ArmDescription that vision needs.
 struct Description {
-    std::vector<MarkerModel> markers;
+    std::vector<MarkerModel> markers;  ///< of the arm, then the bodies beside it
     std::vector<std::string> cameras;
 };
 [[nodiscard]] Description decode_description(Bytes payload);

@@ -14,7 +14,7 @@
 #include <variant>
 
 #include "armsight/v1/parameters.pb.h"
-#include "armsight/vision/opencv_classify.hpp"
+#include "armsight/vision/backend.hpp"
 #include "armsight/vision/pipeline.hpp"
 #include "service/annotations.hpp"
 #include "service/codec.hpp"
@@ -80,13 +80,6 @@ class Rate {
     double sum_ms_ = 0;
 };
 
-Classifier classifier_of(const std::string& backend) {
-    if (backend != "opencv") return classify;
-    return [](const ImageView& image, std::span<const ColorCone> cones, std::vector<MarkerMask>& masks) {
-        classify_opencv(image, cones, masks);
-    };
-}
-
 class Service {
   public:
     Service(const zenoh::Session& session, const Settings& settings, bool shared_memory);
@@ -96,6 +89,7 @@ class Service {
     void take_image(const std::string& camera, zenoh::Sample sample);
     void rebuild();
     void answer(const Instant& instant);
+    [[nodiscard]] bool has_listeners();
     void annotate_for_listeners(const Instant& instant, const std::vector<MarkerEstimate>& estimates);
     void report_health(SteadyTime now);
     void serve_parameters(const std::stop_token& stop);
@@ -225,11 +219,8 @@ void Service::rebuild() {
         if (!is_usable(camera)) problem_ = "the calibration of camera " + camera.name + " cannot be used";
     }
     if (!problem_.empty()) return;
-    const auto is_same = [](const MarkerModel& a, const MarkerModel& b) {
-        return a.name == b.name && a.radius == b.radius && a.color == b.color;
-    };
     try {
-        if (!pipeline_ || !std::ranges::equal(markers_, description->markers, is_same)) {
+        if (!pipeline_ || markers_ != description->markers) {
             pipeline_.emplace(description->markers, classifier_);
             markers_ = description->markers;
         }
@@ -261,6 +252,7 @@ void Service::rebuild() {
 
 void Service::answer(const Instant& instant) {
     if (!pipeline_) return;
+    Pipeline& pipeline = *pipeline_;
     const auto begun = steady_clock::now();
     std::vector<CameraFrame> frames;
     Stages stages{.frames_sent_ns = 0, .received_ns = 0, .sent_ns = 0};
@@ -271,7 +263,8 @@ void Service::answer(const Instant& instant) {
         stages.frames_sent_ns = std::max(stages.frames_sent_ns, frame.sent_ns);
         stages.received_ns = std::max(stages.received_ns, frame.received_ns);
     }
-    const auto estimates = pipeline_->process(instant.capture_ns, frames);
+    pipeline.show_outlines(has_listeners());
+    const auto estimates = pipeline.process(instant.capture_ns, frames);
     stages.sent_ns = static_cast<std::uint64_t>(wall_ns());
     const std::string payload = encode_positions(instant.capture_ns, estimates, stages).SerializeAsString();
     positions_.put(zenoh::as_bytes(payload));
@@ -285,12 +278,17 @@ void Service::answer(const Instant& instant) {
     annotate_for_listeners(instant, estimates);
 }
 
-void Service::annotate_for_listeners(const Instant& instant, const std::vector<MarkerEstimate>& estimates) {
+// Whether anybody looks at the annotations of any camera; asked of the bus now and then.
+bool Service::has_listeners() {
     const auto now = steady_clock::now();
     if (now - listeners_asked_ > kListenersPeriod) {
         for (const auto& [camera, publisher] : annotations_) has_listeners_[camera] = publisher.has_subscribers();
         listeners_asked_ = now;
     }
+    return std::ranges::any_of(has_listeners_, [](const auto& entry) { return entry.second; });
+}
+
+void Service::annotate_for_listeners(const Instant& instant, const std::vector<MarkerEstimate>& estimates) {
     for (const auto& [camera, publisher] : annotations_) {
         if (!has_listeners_[camera]) continue;
         const std::string payload = annotate(instant.capture_ns, camera, estimates).SerializeAsString();

@@ -3,10 +3,12 @@
 #include <CLI/CLI.hpp>
 #include <cstdint>
 #include <cstdlib>
+#include <filesystem>
 #include <iostream>
 #include <regex>
 #include <sstream>
 #include <utility>
+#include <vector>
 
 namespace armsight::vision::service {
 namespace {
@@ -30,6 +32,18 @@ void check_namespace(const std::string& name) {
     if (has_empty_part || name.find_first_of("*$?#") != std::string::npos) {
         throw ConfigError("namespace '" + name + "' is not a key such as '" + kDefaultNamespace + "'");
     }
+}
+
+std::vector<std::pair<std::string, std::filesystem::path>> named_files(const std::vector<std::string>& images) {
+    std::vector<std::pair<std::string, std::filesystem::path>> result;
+    for (const std::string& image : images) {
+        const auto equals = image.find('=');
+        if (equals == 0 || equals == std::string::npos || equals + 1 == image.size()) {
+            throw ConfigError("--image '" + image + "' is not of the form NAME=FILE");
+        }
+        result.emplace_back(image.substr(0, equals), image.substr(equals + 1));
+    }
+    return result;
 }
 
 }  // namespace
@@ -68,6 +82,19 @@ std::optional<Settings> parse_settings(int argc, const char* const* argv) {
         ->check(CLI::IsMember({"simd", "opencv"}))
         ->type_name("NAME");
     app.add_flag("--health", settings.health, "ask the running service whether it answers, and exit");
+    files::FileInput input;
+    std::vector<std::string> images;
+    auto* from_files = app.add_option_group("Without a bus",
+                                            "measures the markers in pictures of one instant; prints "
+                                            "armsight.v1.JointPositions as JSON");
+    auto* calibration = from_files->add_option("--calibration", input.calibration,
+                                               "JSON file with the description and the cameras, such as `armsight "
+                                               "snapshot` writes");
+    auto* image = from_files->add_option("--image", images, "a camera's PNG or JPEG picture; once for each camera");
+    auto* out = from_files->add_option("--out", input.out, "folder for the pictures with what was found drawn in");
+    calibration->type_name("FILE")->needs(image);
+    image->type_name("NAME=FILE")->needs(calibration);
+    out->type_name("DIR")->needs(image);
     try {
         app.parse(argc, argv);
     } catch (const CLI::CallForHelp&) {
@@ -80,6 +107,10 @@ std::optional<Settings> parse_settings(int argc, const char* const* argv) {
     if (settings.name_space.empty()) settings.name_space = environment("ARMSIGHT_NAMESPACE");
     if (settings.zenoh_config.empty()) settings.zenoh_config = environment("ARMSIGHT_ZENOH_CONFIG");
     settings.shared_memory = environment("ARMSIGHT_SHARED_MEMORY") != "off";
+    if (!images.empty()) {
+        input.images = named_files(images);
+        settings.files = input;
+    }
     for (const std::string& endpoint : settings.connect) check_endpoint(endpoint);
     check_namespace(settings.name_space);
     return settings;

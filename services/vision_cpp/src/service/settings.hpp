@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "files/measure.hpp"
+
 namespace armsight::vision::service {
 
 /// Flags, environment or files that cannot be used: starting again does not help (exit code 2).
@@ -19,13 +21,14 @@ inline constexpr const char* kDefaultNamespace = "robots/arm";
 /// What flags and environment say. A flag wins over its environment variable, that over the file, that over the
 /// default.
 struct Settings {
-    std::vector<std::string> connect;   ///< endpoints of the router; empty: the file's or the default
-    std::string name_space;             ///< the robot's name; empty: the file's or the default
-    std::string zenoh_config;           ///< path of a Zenoh JSON5 file, or empty
-    std::string log_level = "warning";  ///< debug, info, warning or error
-    std::string backend = "simd";       ///< what finds the markers' pixels: simd or opencv
-    bool shared_memory = true;          ///< use it where this process may lock enough memory
-    bool health = false;                ///< ask the running service whether it answers, and exit
+    std::vector<std::string> connect;       ///< endpoints of the router; empty: the file's or the default
+    std::string name_space;                 ///< the robot's name; empty: the file's or the default
+    std::string zenoh_config;               ///< path of a Zenoh JSON5 file, or empty
+    std::string log_level = "warning";      ///< debug, info, warning or error
+    std::string backend = "simd";           ///< what finds the markers' pixels: simd or opencv
+    bool shared_memory = true;              ///< use it where this process may lock enough memory
+    bool health = false;                    ///< ask the running service whether it answers, and exit
+    std::optional<files::FileInput> files;  ///< measure these, without a bus, and exit
 };
 
 /// Throws ConfigError where Zenoh would only try for ever.

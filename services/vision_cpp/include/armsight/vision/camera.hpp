@@ -37,6 +37,9 @@ inline constexpr double kWireToImage = 0.5;
 /// Image coordinates of a point in the optical frame; nothing when it is not in front of the camera.
 [[nodiscard]] std::optional<Eigen::Vector2d> project(const Camera& camera, const Eigen::Vector3d& point);
 
+/// The same in pixels of the wire.
+[[nodiscard]] std::optional<Eigen::Vector2d> wire_pixel(const Camera& camera, const Eigen::Vector3d& point);
+
 /// Pixels per radian for directions near a ray: f at the principal point, more towards the corners, where the image
 /// plane is farther away and inclined (mean of the radial and the tangential scale).
 [[nodiscard]] double pixels_per_radian(const Camera& camera, const Eigen::Vector3d& ray);

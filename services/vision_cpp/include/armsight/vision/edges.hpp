@@ -9,6 +9,7 @@
 #include "armsight/vision/camera.hpp"
 #include "armsight/vision/classify.hpp"
 #include "armsight/vision/frame.hpp"
+#include "armsight/vision/pool.hpp"
 
 namespace armsight::vision {
 
@@ -17,6 +18,9 @@ struct Disc {
     Eigen::Vector2d centre;
     double radius;  ///< pixels
 };
+
+/// The outline of a sphere (world frame, metres); of radius 0 where its centre is behind the camera.
+[[nodiscard]] Disc disc_of(const Camera& camera, const Eigen::Vector3d& position, double radius_m);
 
 /// A point of an outline.
 struct EdgePoint {
@@ -39,7 +43,7 @@ struct EdgePoint {
 
 /// Outline of one marker in one image.
 struct Outline {
-    std::vector<EdgePoint> points;                       ///< only where the marker meets a bright, neutral background
+    PoolVector<EdgePoint> points;                        ///< only where the marker meets a bright, neutral background
     std::int64_t area = 0;                               ///< pixels of the marker's colour within the disc
     Eigen::Vector2d centroid = Eigen::Vector2d::Zero();  ///< of these pixels, image coordinates
 };
@@ -59,10 +63,16 @@ struct Mix {
 [[nodiscard]] std::optional<Mix> unmix(const Eigen::Vector3d& pixel, const Eigen::Vector3d& foreground,
                                        const Eigen::Vector3d& background);
 
+/// Which ends of rows and columns are measured.
+enum class Outlined : std::uint8_t {
+    Round,     ///< rows where the expected disc's outline is steep, columns where it is shallow
+    Straight,  ///< those that differ from both neighbours' by a pixel at most
+};
+
 /// Sub-pixel outline of a marker: the ends of each row where the outline is steep, of each column where it is shallow.
 /// The edge is where the coverage, summed over the mixed pixels, says; a shading of the marker cancels. Ends that meet
 /// something dark or coloured (a link, another marker) are left out: they are the occluder's edge, not the sphere's.
 void find_edges(const ImageView& image, const Camera& camera, const ColorCone& cone, const MarkerMask& mask,
-                const Disc& expected, EdgeScratch& scratch, Outline& outline);
+                const Disc& expected, EdgeScratch& scratch, Outline& outline, Outlined shape = Outlined::Round);
 
 }  // namespace armsight::vision

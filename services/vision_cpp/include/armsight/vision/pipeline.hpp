@@ -15,7 +15,7 @@ namespace armsight::vision {
 
 /// One image of an instant, with the camera that took it.
 struct CameraFrame {
-    const Camera* camera;
+    const Camera* camera = nullptr;
     ImageView image;
 };
 
@@ -25,7 +25,8 @@ struct CameraFrame {
 /// From the frames of one instant to the markers' positions. Deterministic; keeps only the markers' last states.
 class Pipeline {
   public:
-    /// Throws std::invalid_argument when markers cannot be told apart by colour, and says which.
+    /// Throws std::invalid_argument when markers cannot be told apart, and says which. A sphere and a box may have the
+    /// same colour: shape tells them apart.
     explicit Pipeline(std::vector<MarkerModel> markers, Classifier classifier = classify);
     ~Pipeline();
     Pipeline(Pipeline&&) noexcept;
@@ -35,7 +36,11 @@ class Pipeline {
 
     /// One estimate for each marker, in the order of the constructor. Frames that are not measurable are left out.
     /// The instant that was processed last gets the same answer again, without advancing any state.
-    std::vector<MarkerEstimate> process(std::int64_t capture_ns, std::span<const CameraFrame> frames);
+    /// Valid until the next call; observations name the cameras of `frames`.
+    const std::vector<MarkerEstimate>& process(std::int64_t capture_ns, std::span<const CameraFrame> frames);
+
+    /// From now on observations carry corners and inliers, for a person to see; by default they don't.
+    void show_outlines(bool shown);
 
     /// Forgets everything that was seen.
     void reset();

@@ -23,8 +23,6 @@ class Track {
     void update(std::int64_t capture_ns, const Fix& fix);
 
   private:
-    using Vector6 = Eigen::Matrix<double, 6, 1>;
-    using Matrix6 = Eigen::Matrix<double, 6, 6>;
     struct State {
         Vector6 mean;        ///< position, m; velocity, m/s
         Matrix6 covariance;  ///< of it

@@ -9,6 +9,9 @@
 
 namespace armsight::vision {
 
+using Vector6 = Eigen::Matrix<double, 6, 1>;
+using Matrix6 = Eigen::Matrix<double, 6, 6>;
+
 /// A line of sight in the world frame.
 struct Ray {
     Eigen::Vector3d origin;     ///< metres
@@ -34,13 +37,15 @@ struct Prior {
     Eigen::Matrix3d covariance;  ///< m^2
 };
 
-/// Shading moves all edge points of a view together: by this much, one standard deviation in each direction.
-inline constexpr double kViewShiftPx = 0.03;
+/// All edge points of a view move together, one standard deviation in each direction: by shading this much, and by
+/// where pixels happen to lie this share of the points' spread.
+inline constexpr double kViewShiftPx = 0.0125;
+inline constexpr double kViewShiftOfSpread = 0.105;
 
 /// Position of a sphere's centre.
 struct Fix {
     Eigen::Vector3d position;    ///< world frame, metres
-    Eigen::Matrix3d covariance;  ///< m^2, from the normal matrix and what kViewShiftPx adds
+    Eigen::Matrix3d covariance;  ///< m^2, from the normal matrix and what shifts of whole views add
     double sigma_px;             ///< robust spread of the edge points around the outline
     int inliers;                 ///< edge points that agree, all views
     bool has_prior = false;      ///< whether what was known beforehand is in it
