@@ -52,7 +52,7 @@ def mode_of(request: SetModeRequest, chain: Chain | None) -> Mode:
         SetpointError: joints that this arm can't take.
     """
     if request.mode == CONTROL_MODE_FOLLOW:
-        raise ModeError("follow needs the orange marker on joints/positions, which vision does not publish yet")
+        raise ModeError("follow is not built yet: publish a target and take the mode track")
     if request.mode not in NAMES.values():
         raise ModeError(f"no mode {request.mode}; there are {', '.join(NAMES)}")
     if not 0 <= request.start_s <= _MAX_START_S:

@@ -329,7 +329,7 @@ def test_mode_requests_are_checked_with_a_clear_text(arm: Arm) -> None:
     assert goal is not None
     np.testing.assert_array_equal(goal, [0, 0, 0.5, 0])
     for error, text, wrong in (
-        (ModeError, "follow needs the orange marker", request(CONTROL_MODE_FOLLOW)),
+        (ModeError, "follow is not built yet", request(CONTROL_MODE_FOLLOW)),
         (ModeError, "there are hold, joints, test-1, test-2, track", SetModeRequest.FromString(b"\x08\x63")),
         (SetpointError, "this arm needs joint1", request(CONTROL_MODE_JOINTS, joint1=0.0)),
         (SetpointError, "not finite", request(CONTROL_MODE_JOINTS, **zeros | {"joint1": math.nan})),

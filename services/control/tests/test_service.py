@@ -368,7 +368,7 @@ def test_queries_answer_and_refuse_with_a_text(rig: Rig) -> None:
             rig.bus.query(SOLVE_IK, request)
 
     assert rig.asked(SetModeRequest()) == CONTROL_MODE_HOLD
-    with pytest.raises(RefusedError, match="follow needs the orange marker"):
+    with pytest.raises(RefusedError, match="follow is not built yet"):
         rig.bus.query(MODE, SetModeRequest(mode=CONTROL_MODE_FOLLOW))
     assert '"solver": "closed-form"' in rig.bus.query(PARAMETERS, PARAMETERS.request(), "control").json
 

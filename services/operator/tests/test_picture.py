@@ -7,13 +7,15 @@ from foxglove_schemas_protobuf.CircleAnnotation_pb2 import CircleAnnotation
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.Point2_pb2 import Point2
+from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from foxglove_schemas_protobuf.TextAnnotation_pb2 import TextAnnotation
 
 from armsight import topics
 from armsight.bus import Bus
 from armsight.times import to_timestamp
 from armsight_operator.errors import NoDataError
-from armsight_operator.picture import View, draw, take_views
+from armsight_operator.picture import View, draw, take_snapshot, take_views
 from fake_arm import FakeArm
 
 SIZE = 100
@@ -37,7 +39,8 @@ def circle(u: float, v: float, instant_ns: int = INSTANT) -> ImageAnnotations:
         thickness=2.0,
         outline_color=Color(r=1, g=0, b=1, a=1),
     )
-    return ImageAnnotations(circles=[drawn])
+    label = TextAnnotation(timestamp=drawn.timestamp, position=drawn.position, text="red", font_size=8.0)
+    return ImageAnnotations(circles=[drawn], texts=[label])
 
 
 def test_views_stand_side_by_side_over_a_caption() -> None:
@@ -56,6 +59,20 @@ def test_circles_lie_where_vision_saw_the_sphere() -> None:
     assert columns.mean() == pytest.approx(39.5, abs=0.7)
     assert rows.mean() == pytest.approx(59.5, abs=0.7)
     assert columns.max() - columns.min() == pytest.approx(40, abs=2)
+
+
+def test_outlines_close_and_points_are_dots() -> None:
+    square = [Point2(x=x, y=y) for x, y in ((20, 20), (60, 20), (60, 60), (20, 60))]
+    color = Color(r=1, g=0, b=1, a=1)
+    loop = PointsAnnotation(type=PointsAnnotation.LINE_LOOP, points=square, outline_color=color, thickness=1.0)
+    dot = PointsAnnotation(
+        type=PointsAnnotation.POINTS, points=[Point2(x=80, y=80)], outline_color=color, thickness=3.0
+    )
+    drawn = (np.asarray(draw([View("1", frame(), ImageAnnotations(points=[loop, dot]))], ""))[:SIZE] == MAGENTA).all(2)
+    for side in (drawn[20, 25:55], drawn[60, 25:55], drawn[25:55, 20], drawn[25:55, 60]):
+        assert side.all()
+    assert not drawn[25:55, 25:55].any()
+    assert drawn[80, 80]
 
 
 @pytest.mark.parametrize("broken", [RawImage(width=10, height=10, encoding="rgb8", step=30), RawImage(encoding="yuv")])
@@ -83,6 +100,12 @@ def test_views_of_one_instant_are_taken_together(arm: FakeArm, make_bus: Callabl
     stamps = {(view.image.timestamp.seconds, view.image.timestamp.nanos) for view in views}
     assert len(stamps) == 1
     assert stamps.pop()[1] % 2 == INSTANT % 2
+
+
+def test_a_snapshot_needs_every_frame_and_calibration(arm: FakeArm, make_bus: Callable[[], Bus]) -> None:
+    del arm
+    with pytest.raises(NoDataError, match="camera/1/calibration: is sim running"):
+        take_snapshot(make_bus(), timeout_s=0.3)
 
 
 def test_without_frames_it_says_who_is_missing(arm: FakeArm, make_bus: Callable[[], Bus]) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from PIL import Image, ImageDraw, ImageFont
 
@@ -41,12 +42,19 @@ def draw(views: Sequence[View], caption: str) -> Image.Image:
     return sheet
 
 
+def picture_of(camera: str, image: RawImage) -> Image.Image:
+    """A frame's pixels.
+
+    Raises:
+        ValueError: the frame is not rgb8, or its data do not fill it.
+    """
+    if image.encoding != "rgb8" or image.step * image.height > len(image.data):
+        raise ValueError(f"camera {camera} sends no complete rgb8 frames")
+    return Image.frombuffer("RGB", (image.width, image.height), image.data, "raw", "RGB", image.step, 1).copy()
+
+
 def _annotated(view: View) -> Image.Image:
-    message = view.image
-    if message.encoding != "rgb8" or message.step * message.height > len(message.data):
-        raise ValueError(f"camera {view.camera} sends no complete rgb8 frames")
-    size = (message.width, message.height)
-    picture = Image.frombuffer("RGB", size, message.data, "raw", "RGB", message.step, 1).copy()
+    picture = picture_of(view.camera, view.image)
     pen = ImageDraw.Draw(picture, "RGBA")
     font = ImageFont.load_default(_FONT_PX)
     pen.text((8, 6), f"camera {view.camera}", fill=_INK, font=font)
@@ -57,8 +65,14 @@ def _annotated(view: View) -> Image.Image:
         x, y, radius = circle.position.x + 0.5, circle.position.y + 0.5, circle.diameter / 2
         box = (x - radius, y - radius, x + radius, y + radius)
         pen.ellipse(box, outline=_rgba(circle.outline_color), width=max(1, round(circle.thickness)))
-        pen.line((x - 4, y, x + 4, y), fill=_rgba(circle.outline_color))
-        pen.line((x, y - 4, x, y + 4), fill=_rgba(circle.outline_color))
+    for points in view.annotations.points:
+        pixels = [(point.x + 0.5, point.y + 0.5) for point in points.points]
+        if points.type == PointsAnnotation.LINE_LOOP:
+            pen.line([*pixels, pixels[0]], fill=_rgba(points.outline_color), width=max(1, round(points.thickness)))
+        elif points.type == PointsAnnotation.POINTS:
+            half = points.thickness / 2
+            for x, y in pixels:
+                pen.ellipse((x - half, y - half, x + half, y + half), fill=_rgba(points.outline_color))
     for text in view.annotations.texts:
         at = (text.position.x + 6, text.position.y - _FONT_PX / 2)
         pen.rectangle(pen.textbbox(at, text.text, font=font), fill=_rgba(text.background_color))

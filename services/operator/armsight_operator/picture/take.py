@@ -28,7 +28,7 @@ def take_views(bus: Bus, timeout_s: float = 5.0) -> list[View]:
     notes: dict[int, dict[str, ImageAnnotations]] = {}
 
     def keep_note(received: Received[ImageAnnotations]) -> None:
-        stamps = [from_timestamp(circle.timestamp) for circle in received.message.circles]
+        stamps = [from_timestamp(text.timestamp) for text in received.message.texts]
         if stamps:
             notes.setdefault(stamps[0], {})[received.name] = received.message
 

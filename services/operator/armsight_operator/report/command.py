@@ -36,6 +36,7 @@ def report(
     poses: Annotated[int, typer.Option(help="Random configurations of all joints to measure as well.", min=0)] = 0,
     noise: Annotated[float, typer.Option(help="Standard deviation of the frames' noise, grey levels.", min=0)] = 0.0,
     ambient: Annotated[str, typer.Option(help="Ambient light: 0 to 1, or 'sweep'.")] = "0.4",
+    marker_light: Annotated[str, typer.Option("--markers", help="lit or emissive.")] = "lit",
     attach: Annotated[
         bool, typer.Option("--attach", help="Measure the running stack (lockstep), not one of our own.")
     ] = False,
@@ -46,12 +47,14 @@ def report(
     """Measure the whole pipeline against the truth: tables, plots."""
     if samples not in (0, 4):
         raise typer.BadParameter("0 or 4", param_hint="--samples")
+    if marker_light not in ("lit", "emissive"):
+        raise typer.BadParameter("lit or emissive", param_hint="--markers")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OperatorError(f"can't write to {out}: {error.strerror}") from error
     began = time.monotonic()
-    flags = ("--noise", f"{noise:g}", "--ambient", ambient)
+    flags = ("--noise", f"{noise:g}", "--ambient", ambient, "--markers", marker_light)
     with contextlib.ExitStack() as stack:
         if attach:
             config = configuration(connect, namespace, zenoh_config)

@@ -41,6 +41,8 @@ def samples_of(arm: Arm, positions: JointPositions, q: Array, cameras: int) -> l
     """All markers of one instant beside the true pose ``q``."""
     samples = []
     for measured in positions.markers:
+        if measured.name not in arm.markers:  # a body beside the arm
+            continue
         lost = measured.status == MARKER_STATUS_LOST or not measured.HasField("position")
         error, d2 = float("nan"), float("nan")
         if not lost:
