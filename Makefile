@@ -15,7 +15,7 @@ TORCH ?=
 INSTALLED := $(VENV)/.installed-in$(subst /,-,$(CURDIR))
 PYTEST_ARGS ?=
 
-.PHONY: help setup run test test-long lint format bench bench-vision bench-ik bench-loop lock clean vision system
+.PHONY: help setup run test test-long lint format bench bench-vision bench-accuracy bench-ik bench-loop lock clean vision system
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -62,9 +62,9 @@ format: setup  ## rewrite everything the way lint wants it
 	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format -i
 	cargo fmt --manifest-path services/vision_cpp/zenoh_bridge/Cargo.toml
 
-bench: bench-vision bench-ik bench-loop  ## every benchmark; results in bench/results
+bench: bench-vision bench-accuracy bench-ik bench-loop  ## every benchmark; results in bench/results
 
-bench-vision bench-ik bench-loop: setup
+bench-vision bench-accuracy bench-ik bench-loop: setup
 	$(BIN)/python bench/$(subst -,_,$(@:bench-%=%))_bench.py
 
 # Our own packages are installed from their folders; what torch's default build brings for GPUs is left to torch, so that

@@ -6,16 +6,20 @@ beside rendering alone.
 
 import contextlib
 import os
+import signal
 import threading
 import time
 from collections.abc import Iterator
 
 from armsight import topics
 from armsight.bus import Bus, Received, open_bus
+from armsight.images import encode_rgb8
 from armsight.session import SessionConfig, open_session
 from armsight.times import from_timestamp
 from armsight.v1.control_pb2 import ControlStatus
+from armsight.v1.joints_pb2 import JointPositions
 from armsight_operator.monitor import Monitor
+from armsight_operator.picture import take_snapshot
 from armsight_operator.report.run import wait_ready
 from armsight_operator.stack import SERVICES, Stack
 from armsight_sim.gl import choose_gl
@@ -28,6 +32,7 @@ PAIRS = 200
 RATE_HZ = 30.0
 LOCKSTEP_SECONDS = 8.0
 RENDERS = 100
+REPLAYED = 600
 
 
 @contextlib.contextmanager
@@ -90,6 +95,43 @@ def measure_latency(shared_memory: bool) -> list[Result]:
     return results
 
 
+def measure_vision() -> list[Result]:
+    """Frames received to positions sent over TCP, with nothing else at work: frames of a snapshot, sent again."""
+    os.environ["ARMSIGHT_SHARED_MEMORY"] = "off"
+    taken_ms: list[float] = []
+
+    def keep(received: Received[JointPositions]) -> None:
+        stages = received.message.stages
+        taken_ms.append((stages.vision_sent_ns - stages.vision_received_ns) / 1e6)
+
+    with Stack(target="none", mode="hold") as stack, contextlib.ExitStack() as closing:
+        for name in ("router", "sim", "vision"):
+            stack.start(name)
+        bus = closing.enter_context(bus_of(stack))
+        snapshot = take_snapshot(bus, timeout_s=20.0)
+        positions = bus.subscriber(topics.JOINT_POSITIONS)
+        if positions.recv(20.0) is None:
+            raise RuntimeError("vision measures nothing")
+        positions.close()
+        stack.kill("sim", signal.SIGKILL)
+        bus.subscriber(topics.JOINT_POSITIONS, keep=256, on_message=keep)
+        publishers = {name: bus.publisher(topics.CAMERA_IMAGE, name) for name in snapshot.cameras}
+        for _ in range(REPLAYED):
+            due = time.monotonic() + 1 / RATE_HZ
+            capture_ns = time.time_ns()
+            for name, camera in snapshot.cameras.items():
+                image = camera.image
+                payload = encode_rgb8(image.data, image.width, image.height, image.frame_id, capture_ns)
+                publishers[name].put_bytes(payload)
+            time.sleep(max(0.0, due - time.monotonic()))
+    if len(taken_ms) < 0.95 * REPLAYED:
+        raise RuntimeError(f"vision answered {len(taken_ms)} of {REPLAYED} instants")
+    return [
+        at_most(f"TCP: frames received to positions sent, vision alone, p{p}", percentile(taken_ms, p), "ms", 2.0)
+        for p in (50, 99)
+    ]
+
+
 def measure_lockstep() -> list[Result]:
     """Instants a second in lockstep beside rendering alone."""
     os.environ["ARMSIGHT_SHARED_MEMORY"] = ""
@@ -122,4 +164,4 @@ def renders_a_second(samples: int) -> float:
 
 
 if __name__ == "__main__":
-    publish("loop", [*measure_latency(False), *measure_latency(True), *measure_lockstep()])
+    publish("loop", [*measure_vision(), *measure_latency(False), *measure_latency(True), *measure_lockstep()])

@@ -49,6 +49,11 @@ def at_least(name: str, value: float, unit: str, bar: float) -> Result:
     return Result(name, value, unit, "", None, f">= {bar:g} {unit}", value >= bar)
 
 
+def between(name: str, value: float, unit: str, least: float, most: float) -> Result:
+    """A figure with both."""
+    return Result(name, value, unit, "", None, f"{least:g} to {most:g} {unit}".rstrip(), least <= value <= most)
+
+
 def percentile(values: Sequence[float], percent: float) -> float:
     """The value that ``percent`` of all values do not exceed, interpolated.
 

@@ -38,11 +38,12 @@ def measure() -> list[Result]:
         )
         for size in SIZES
     ]
-    pair, opencv = ms["measure/pair"], ms["opencv/800x800"]
+    pair, tracked, opencv = ms["measure/pair"], ms["track/pair"], ms["opencv/800x800"]
     return [
         *results,
         compare("masks and components, 800x800", ms["classify/800x800"], "ms", "OpenCV chain", opencv, most=1 / 300),
         compare("two frames to four positions", pair, "ms", "sum of both frames' bytes", ms["sum/pair"], most=8),
+        compare("the same, markers where expected", tracked, "ms", "sum of both frames' bytes", ms["sum/pair"], most=8),
         compare("two frames to four positions", pair, "ms", "OpenCV chain, both", ms["opencv/pair"], most=1 / 100),
     ]
 
