@@ -7,7 +7,8 @@ seconds=${1:-20}
 
 tools/install-apt-packages.sh tools/apt-packages-fuzz.txt
 [ -f build/fuzz/build.ninja ] || cmake -S services/vision_cpp -B build/fuzz -G Ninja -DCMAKE_CXX_COMPILER=clang++ \
-    -DCMAKE_BUILD_TYPE=RelWithDebInfo -DARMSIGHT_SERVICE=OFF -DARMSIGHT_TESTS=OFF -DARMSIGHT_FUZZ=ON \
+    -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1 -DNDEBUG" \
+    -DARMSIGHT_SERVICE=OFF -DARMSIGHT_TESTS=OFF -DARMSIGHT_FUZZ=ON \
     -DARMSIGHT_SANITIZE=address,undefined,fuzzer-no-link >/dev/null
 cmake --build build/fuzz
 mkdir -p build/fuzz/found

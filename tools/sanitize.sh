@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Vision's unit tests with sanitizers, all that needs no bus: addresses and undefined behaviour in every test, data races
-# in the one that runs the service's threads.
+# in the one that runs the service's threads. Optimised a little only: that compiles in half the time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -8,7 +8,8 @@ build() { # build FOLDER SANITIZERS TARGET...
     local folder=$1 sanitizers=$2
     shift 2
     [ -f "$folder/build.ninja" ] || cmake -S services/vision_cpp -B "$folder" -G Ninja \
-        -DCMAKE_BUILD_TYPE=RelWithDebInfo -DARMSIGHT_SERVICE=OFF -DARMSIGHT_SANITIZE="$sanitizers" >/dev/null
+        -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1 -DNDEBUG" \
+        -DARMSIGHT_SERVICE=OFF -DARMSIGHT_SANITIZE="$sanitizers" >/dev/null
     cmake --build "$folder" --target "$@"
 }
 

@@ -93,6 +93,7 @@ TEST(Threads, ImagesRigAndHealthComeWhileTheLoopMeasures) {
                                                    testing::draw(arm(), cameras[1], 2)};
     Shared shared;
     std::atomic<bool> done{false};
+    std::atomic<int> begun{0};  // the instant whose measurement began last
     const auto tell_rig = [&] {
         shared.rig.set({.markers = testing::arm_markers(), .cameras = {"1", "2"}});
         for (std::size_t i = 0; i < cameras.size(); ++i) {
@@ -102,14 +103,14 @@ TEST(Threads, ImagesRigAndHealthComeWhileTheLoopMeasures) {
         }
     };
     tell_rig();
-    const auto begun = std::chrono::steady_clock::now();
     std::vector<std::jthread> threads;
     for (std::size_t i = 0; i < cameras.size(); ++i) {
         threads.emplace_back([&, i] {
             for (int instant = 1; instant <= kInstants; ++instant) {
+                // one ahead: while the one before is measured, however slow this machine is
+                while (begun < instant - 1 && !done) std::this_thread::sleep_for(std::chrono::milliseconds(1));
                 shared.take_image(std::to_string(i + 1), std::make_shared<const std::string>(
                                                              message_of(pictures.at(i), instant * kFramePeriodNs)));
-                std::this_thread::sleep_until(begun + instant * std::chrono::milliseconds(10));
             }
         });
     }
@@ -140,6 +141,7 @@ TEST(Threads, ImagesRigAndHealthComeWhileTheLoopMeasures) {
             });
         }
         if (!instant) continue;
+        begun = static_cast<int>(instant->capture_ns / kFramePeriodNs);
         const auto known = shared.rig.cameras();
         std::vector<CameraFrame> frames;
         for (const Frame& frame : instant->frames) {
@@ -153,7 +155,7 @@ TEST(Threads, ImagesRigAndHealthComeWhileTheLoopMeasures) {
     done = true;
     threads.clear();
     EXPECT_EQ(shared.counters.snapshot()["frames_received"], 2U * kInstants);
-    EXPECT_GT(answered, kInstants / 2);
+    EXPECT_EQ(answered, kInstants);
     EXPECT_EQ(shared.counters.snapshot()["refused"], 0U);
 }
 
