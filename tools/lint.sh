@@ -30,7 +30,7 @@ check "mypy tests" "$bin/mypy" tests bench
 check "clang-format" "$bin/clang-format" --dry-run --Werror "${cpp[@]}"
 check "rustfmt" cargo fmt --check --manifest-path "$bridge"
 check "clippy" cargo clippy --quiet --release --all-targets --manifest-path "$bridge" --target-dir build/vision/cargo -- -D warnings
-check "clang-tidy" xargs -P "$(nproc)" -n 1 "$bin/clang-tidy" --quiet -p build/vision < <(printf '%s\n' "${cpp_sources[@]}")
+check "clang-tidy" xargs -P "$(nproc)" -n 1 tools/tidy.sh < <(printf '%s\n' "${cpp_sources[@]}")
 
 if [ ${#failed[@]} -gt 0 ]; then
     printf 'lint failed: %s\n' "${failed[*]}" >&2
