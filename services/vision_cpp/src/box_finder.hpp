@@ -81,7 +81,7 @@ class BoxFinder {
     std::optional<Extent> extent_;
     EdgeScratch scratch_;
     PoolVector<Sighting> sightings_;
-    Box found_;
+    Box found_{.centre = Eigen::Vector3d::Zero(), .half = Eigen::Vector3d::Zero()};
 };
 
 }  // namespace armsight::vision
