@@ -56,7 +56,7 @@ class Service:
         bus = context.bus
         self._context = context
         self._lock = threading.Lock()
-        self._loop = Loop(settings.motion, settings.ik, settings.seed, bus.counters)
+        self._loop = Loop(settings.motion, settings.ik, settings.seed, bus.counters, settings.estimator)
         self._loop.set_mode(Mode(NAMES[settings.mode]))
         self._pursuit = Pursuit(self._loop, self._lock, settings.solver)
         self._queries = Queries(self._loop, self._lock, self._pursuit.solvers, settings)

@@ -4,6 +4,7 @@ import argparse
 from dataclasses import dataclass
 
 from armsight.service import add_service_arguments
+from armsight_control import estimators
 from armsight_control.errors import ControlError
 from armsight_control.modes import INITIAL_NAMES
 from armsight_control.solvers.problem import Options
@@ -16,6 +17,7 @@ class Settings:
     """What is in force; answered on `control/parameters`."""
 
     mode: str
+    estimator: str
     solver: str
     initialisation: Initialisation
     seed: int
@@ -38,6 +40,12 @@ def parser() -> argparse.ArgumentParser:
     add_service_arguments(flags)
     control = flags.add_argument_group("control")
     control.add_argument("--mode", choices=INITIAL_NAMES, default="hold", help="mode to begin with (default: hold)")
+    control.add_argument(
+        "--estimator",
+        choices=estimators.NAMES,
+        default=estimators.all_joints.NAME,
+        help="of the joints' angles: all of them at once, or the report's Parts (default: %(default)s)",
+    )
     control.add_argument(
         "--speed", type=float, default=motion.speed_share, help="share of the joints' speed (default: %(default)s)"
     )
@@ -71,6 +79,7 @@ def settings_of(arguments: argparse.Namespace) -> Settings:
     """
     return Settings(
         mode=arguments.mode,
+        estimator=arguments.estimator,
         solver=arguments.solver,
         initialisation=arguments.initialisation,
         seed=arguments.seed,
