@@ -78,10 +78,15 @@ class Stack:
     def look(self, status: dict[str, MarkerStatus] | None = None) -> JointPositions:
         return self.camera.positions(self.q, self.capture_ns, status)
 
-    def step(self, message: JointPositions | None = None, age_s: float = 0.001) -> Answer:
+    def step(
+        self,
+        message: JointPositions | None = None,
+        age_s: float = 0.001,
+        status: dict[str, MarkerStatus] | None = None,
+    ) -> Answer:
         """One instant: look, answer, apply; checks what must hold for every command."""
         self.capture_ns += PERIOD_NS
-        answer = self.loop.answer(self.look() if message is None else message, age_s)
+        answer = self.loop.answer(self.look(status) if message is None else message, age_s)
         assert answer is not None
         self.apply(answer)
         return answer
@@ -222,7 +227,7 @@ def test_a_lost_marker_does_not_stop_an_arm_that_all_others_show(stack: Stack, m
     stack.mode("test-all", start_s=9.0)
     for k in range(60):
         before = stack.q
-        answer = stack.step(stack.look({marker: MARKER_STATUS_LOST} if k >= 10 else None))
+        answer = stack.step(status={marker: MARKER_STATUS_LOST} if k >= 10 else None)
         assert answer.status.state == CONTROL_STATE_MOVING
         np.testing.assert_allclose(stack.estimate(answer), before, atol=2e-3)
     assert "held_lost" not in stack.counters.snapshot()
@@ -236,7 +241,7 @@ def test_with_every_marker_of_the_last_links_lost_it_goes_blind_and_recovers(sta
         stack.step()
     sigmas = []
     for _ in range(150):
-        answer = stack.step(stack.look(lost))
+        answer = stack.step(status=lost)
         if answer.status.state != CONTROL_STATE_BLIND:
             assert not any(joint.observable for joint in answer.status.joints)
             sigmas.append([joint.sigma_rad for joint in answer.status.joints])

@@ -47,6 +47,8 @@ _MANOEUVRE_RAD_S2 = 20.0
 # A candidate must explain the markers so much better for the prediction to be left, and is as good as another within
 # that much: chi squared both.
 _FAR_BETTER, _AS_GOOD = 50.0, 9.0
+# What is nearer is no other branch but a marker that is wrong, and its neighbours tell.
+_ELSEWHERE_RAD = 0.3
 # What candidates start with: nothing known, but no direction left open.
 _UNKNOWN_RAD = 10.0
 
@@ -102,11 +104,14 @@ class AllJoints:
         best, restarted = self._fit(readings, prior), False
         gate = _GATE * (1 + len(readings.rows))
         if _surprise(best, prior) > gate:
-            prior = loosened(prior, track.dt_s or _FRAME_S, _MANOEUVRE_RAD_S2)
-            best = self._fit(readings, prior)
-            if _surprise(best, prior) > gate:
+            loose = loosened(prior, track.dt_s or _FRAME_S, _MANOEUVRE_RAD_S2)
+            again = self._fit(readings, loose)
+            if _surprise(again, loose) <= gate:
+                prior, best = loose, again
+            else:
                 found = self._found(positions, readings, prior, setpoint)
-                if found.misfit + _FAR_BETTER < best.misfit:
+                elsewhere = np.abs(found.q - best.q).max() > _ELSEWHERE_RAD
+                if elsewhere and found.misfit + _FAR_BETTER < best.misfit:
                     restarted = True
                     prior = at_rest(found.q, _START_RAD, _START_RAD_S)
                     best = self._fit(readings, prior)
