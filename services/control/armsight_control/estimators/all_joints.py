@@ -115,7 +115,7 @@ class AllJoints:
                     restarted = True
                     prior = at_rest(found.q, _START_RAD, _START_RAD_S)
                     best = self._fit(readings, prior)
-        moving = updated(prior, best.q, np.linalg.inv(best.information))
+        moving = updated(prior, best.q, _inverse(best.information))
         by_tip = best.placed.jacobians[-1]
         spread = np.linalg.eigvalsh(by_tip @ moving.angles_covariance @ by_tip.T)[-1]
         estimate = Estimate(
@@ -146,7 +146,7 @@ class AllJoints:
         return Track(moving, capture_ns, setpoint, np.zeros(len(setpoint)), 0.0), moving
 
     def _fit(self, readings: Readings, prior: Moving) -> Fit:
-        belief = Belief(prior.q, np.linalg.inv(prior.angles_covariance))
+        belief = Belief(prior.q, _inverse(prior.angles_covariance))
         return fit(self._model, readings, belief, self._chain.clip(prior.q), 1 / _READINGS_WORTH_ONE, _STEPS)
 
     def _found(self, positions: Positions, readings: Readings, prior: Moving, setpoint: Array) -> Fit:
@@ -157,6 +157,10 @@ class AllJoints:
         least = min(found.misfit for found in fits)
         equals = [found for found in fits if found.misfit <= least + _AS_GOOD]
         return min(equals, key=lambda found: float(np.abs(found.q - setpoint).sum()))
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def _surprise(best: Fit, prior: Moving) -> float:

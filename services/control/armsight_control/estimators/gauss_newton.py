@@ -71,7 +71,7 @@ def readings_of(positions: Positions, model: MarkerModel) -> Readings:
     return Readings(
         rows=np.array([model.index[name] for name in names], dtype=np.intp),
         points=np.array([positions.seen[name].position for name in names]).reshape(-1, 3),
-        weights=np.linalg.inv(covariances + np.eye(3) * FLOOR_M**2),
+        weights=np.asarray(np.linalg.inv(covariances + np.eye(3) * FLOOR_M**2), dtype=np.float64),
         spreads=np.sqrt(np.trace(covariances, axis1=1, axis2=2)),
     )
 
