@@ -126,6 +126,12 @@ def part2(run: Run, begin_s: float, duration_s: float, progress: Progress) -> Pa
     return _part(run, "test-2", ("theta", "phi", "psi"), (0, 2, 3), PART2_PERIODS, (begin_s, duration_s), progress)
 
 
+def all_joints(run: Run, begin_s: float, duration_s: float, progress: Progress) -> Part:
+    """All four joints move."""
+    symbols = ("theta", "nu", "phi", "psi")
+    return _part(run, "test-all", symbols, (0, 1, 2, 3), ALL_PERIODS, (begin_s, duration_s), progress)
+
+
 def random_poses(run: Run, seed: int, count: int, progress: Progress) -> Random:
     """Random configurations of all four joints, within the limits, set at rest."""
     generator = np.random.default_rng(seed)
