@@ -76,6 +76,8 @@ class Outcome:
 
     track: Track
     estimate: Estimate
+    sigma: Array
+    """One standard deviation of every joint, rad."""
     tip_sigma: float
     """Standard deviation of the tip in its worst direction, metres."""
     restarted: bool
@@ -118,15 +120,16 @@ class AllJoints:
         moving = updated(prior, best.q, _inverse(best.information))
         by_tip = best.placed.jacobians[-1]
         spread = np.linalg.eigvalsh(by_tip @ moving.angles_covariance @ by_tip.T)[-1]
+        sigma = np.sqrt(np.diagonal(moving.angles_covariance))
         estimate = Estimate(
             estimator=NAME,
             angles=moving.q,
             observable=_told(readings, best.placed),
             misfit=(best.misfit / max(1, 3 * len(readings.rows))) ** 0.5,
-            sigma=np.sqrt(np.diagonal(moving.angles_covariance)),
+            sigma=sigma,
             velocity=moving.v,
         )
-        return Outcome(replace(track, moving=moving), estimate, max(0.0, float(spread)) ** 0.5, restarted)
+        return Outcome(replace(track, moving=moving), estimate, sigma, max(0.0, float(spread)) ** 0.5, restarted)
 
     def _carried(self, track: Track | None, capture_ns: int, setpoint: Array) -> tuple[Track, Moving]:
         """The track at this instant and what it predicts; anew from the setpoint where nothing can be carried on."""
