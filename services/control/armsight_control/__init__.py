@@ -21,10 +21,21 @@ from armsight_control.kinematics import (
     report_jacobian,
 )
 from armsight_control.positions import Positions, SeenMarker, positions_of
-from armsight_control.solvers import SOLVERS, Options, Problem, Solution, Status, solve
+from armsight_control.solvers import (
+    REPORT_FREE,
+    SOLVERS,
+    Options,
+    Problem,
+    Solution,
+    Solutions,
+    Status,
+    solve,
+    solve_batch,
+)
 
 __all__ = [
     "ESTIMATORS",
+    "REPORT_FREE",
     "SOLVERS",
     "AllJoints",
     "Arm",
@@ -40,6 +51,7 @@ __all__ = [
     "Problem",
     "SeenMarker",
     "Solution",
+    "Solutions",
     "Status",
     "Track",
     "arm_of",
@@ -52,4 +64,5 @@ __all__ = [
     "report_forward",
     "report_jacobian",
     "solve",
+    "solve_batch",
 ]

@@ -48,7 +48,7 @@ from armsight_control.positions import (
     positions_of,
 )
 from armsight_control.setpoints import Setpoints, setpoint_of
-from armsight_control.solvers.problem import Options, Problem, Solution, Status
+from armsight_control.solvers import REPORT_FREE, Options, Problem, Solution, Status
 from armsight_control.solvers.start import perturbed
 from armsight_control.tracking import Target, target_of
 from armsight_control.trajectory import (
@@ -262,7 +262,7 @@ class Loop:
         if solved is None or not solved.solution.converged:
             # straight poses are saddles of the error: a descent that starts on one exactly stays there
             start = perturbed(chain, start, self._rng)
-        return self._target, Problem(chain, self._target.position, start, self._options)
+        return self._target, Problem(chain, self._target.position, start, REPORT_FREE, self._options)
 
     def solved(self, target: Target, solution: Solution) -> None:
         """Takes a solution for a target."""
@@ -411,7 +411,7 @@ class Loop:
         status.target.CopyFrom(_vector(self._target.position))
         if self._solved is not None:
             status.reached.CopyFrom(_vector(self._solved.solution.tip))
-            status.target_reachable = self._solved.solution.status != Status.OUT_OF_REACH
+            status.target_reachable = self._solved.solution.status != Status.UNREACHABLE
 
 
 def _vector(values: Array) -> Vector3:

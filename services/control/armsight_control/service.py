@@ -127,7 +127,7 @@ class Service:
         elif status.mode == CONTROL_MODE_TRACK and solver.loading:
             health.report(HEALTH_STATUS_WAITING, "solver loading")
         else:
-            health.report(HEALTH_STATUS_OK, "solver loading" if solver.loading else "")
+            health.report(HEALTH_STATUS_OK, "solver loading" if solver.loading else solver.note)
 
     def _report_quiet(self, for_s: float) -> None:
         if self._loop.arm is None:

@@ -7,7 +7,7 @@ from armsight.service import add_service_arguments
 from armsight_control import estimators
 from armsight_control.errors import ControlError
 from armsight_control.modes import INITIAL_NAMES
-from armsight_control.solvers.problem import Options
+from armsight_control.solvers.options import GradientDescentOptions, Options
 from armsight_control.solvers.start import INITIALISATIONS, Initialisation
 from armsight_control.trajectory import MotionLimits
 
@@ -32,7 +32,7 @@ class Settings:
 
 def parser() -> argparse.ArgumentParser:
     """The flags of `armsight-control`."""
-    defaults, motion = Options(), MotionLimits()
+    defaults, motion = GradientDescentOptions(), MotionLimits()
     flags = argparse.ArgumentParser(
         prog="armsight-control",
         description="Turns joint positions into joint angles and commands the joints; runs until SIGTERM.",
@@ -56,18 +56,21 @@ def parser() -> argparse.ArgumentParser:
         "--seed", type=int, default=0, help="of all random numbers, so that runs repeat (default: %(default)s)"
     )
     ik = flags.add_argument_group("inverse kinematics")
-    ik.add_argument("--solver", default="gradient-descent", help="default: %(default)s")
+    ik.add_argument("--solver", default="torch", help="default: %(default)s")
     ik.add_argument(
         "--initialisation",
         choices=INITIALISATIONS,
         default="random",
         help="start of a query that gives none; track always goes on from its last solution (default: %(default)s)",
     )
-    ik.add_argument("--alpha", type=float, default=defaults.alpha, help="step size (default: %(default)s)")
-    ik.add_argument(
+    report = flags.add_argument_group("the solver gradient-descent")
+    report.add_argument("--alpha", type=float, default=defaults.alpha, help="step size (default: %(default)s)")
+    report.add_argument(
         "--tolerance", type=float, default=defaults.tolerance_m, help="mean absolute error, m (default: %(default)s)"
     )
-    ik.add_argument("--max-steps", type=int, default=defaults.max_steps, help="of one descent (default: %(default)s)")
+    report.add_argument(
+        "--max-steps", type=int, default=defaults.max_steps, help="of one descent (default: %(default)s)"
+    )
     return flags
 
 
@@ -77,12 +80,15 @@ def settings_of(arguments: argparse.Namespace) -> Settings:
     Raises:
         ControlError: a value that can't work.
     """
+    descent = GradientDescentOptions(
+        alpha=arguments.alpha, tolerance_m=arguments.tolerance, max_steps=arguments.max_steps
+    )
     return Settings(
         mode=arguments.mode,
         estimator=arguments.estimator,
         solver=arguments.solver,
         initialisation=arguments.initialisation,
         seed=arguments.seed,
-        ik=Options(alpha=arguments.alpha, tolerance_m=arguments.tolerance, max_steps=arguments.max_steps),
+        ik=Options(gradient_descent=descent),
         motion=MotionLimits(speed_share=arguments.speed, ramp_s=arguments.ramp),
     )

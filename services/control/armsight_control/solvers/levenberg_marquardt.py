@@ -1,0 +1,134 @@
+"""Levenberg-Marquardt, batched on torch: from the problem's start first, from others only where that did not arrive.
+
+A restart breaks continuity, so a target that is followed never sees one as long as its own start reaches it. Where the
+reach of a chain is not known, a start that ends where no motion brings the tip nearer is at the edge of it.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from armsight_control.chain import Array
+from armsight_control.folded import Folded
+from armsight_control.solvers.blocks import DAMPED_STEPS
+from armsight_control.solvers.packages import Block, block
+from armsight_control.solvers.problem import Found, Task
+from armsight_control.solvers.start import spread
+
+# Columns come in vectors of four; what does not fill one would be computed apart.
+_LANES = 4
+# Of the error's moment about a lever: below this share of it no motion brings the tip nearer.
+_FLAT = 1e-5
+# Nearest points that differ by less are equally near.
+_AS_NEAR_M = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """Where columns ended."""
+
+    u: Array
+    """(columns, n)."""
+    error_m: Array
+    """(columns,)."""
+    met: NDArray[np.bool_]
+    stationary: NDArray[np.bool_]
+    calls: NDArray[np.int64]
+    """(columns,): of the block, until this column or another of its group arrived."""
+
+
+def solve(task: Task) -> Found:
+    """Solves a task."""
+    options, folded = task.options.levenberg_marquardt, task.folded
+    with torch.inference_mode():
+        run = block("damped", len(folded.free), options.compile_on_demand)
+        aims, own = folded.to_first(task.aims), task.free_starts + folded.offsets
+        most = math.ceil(options.max_steps / DAMPED_STEPS)
+        ends = refine(run, folded, aims, own, options.tolerance_m, options.damping, most)
+        u, met, stationary = ends.u, ends.met, ends.stationary
+        iterations = ends.calls * DAMPED_STEPS
+        left = np.flatnonzero(~met)
+        if len(left) and options.restarts:
+            starts = spread(folded, options.restarts, options.seed)
+            again = refine(
+                run,
+                folded,
+                np.repeat(aims[left], len(starts), axis=0),
+                np.tile(starts, (len(left), 1)),
+                options.tolerance_m,
+                options.damping,
+                most,
+                group=len(starts),
+            )
+            iterations[left] += again.calls[:: len(starts)] * DAMPED_STEPS
+            for k, row in enumerate(left):
+                part = slice(k * len(starts), (k + 1) * len(starts))
+                candidates = np.vstack([u[row : row + 1], again.u[part]])
+                errors = np.append(ends.error_m[row], again.error_m[part])
+                flat = np.append(stationary[row], again.stationary[part])
+                chosen = nearest(candidates, errors, options.tolerance_m, own[row])
+                u[row], met[row] = candidates[chosen], errors[chosen] <= options.tolerance_m
+                stationary[row] = flat[chosen]
+    return Found(u - folded.offsets, iterations, met, stationary, run.trouble)
+
+
+def nearest(candidates: Array, errors: Array, tolerance_m: float, start: Array) -> int:
+    """Which of some ends to take: of those that are as near to the aim as any, the one nearest to the start."""
+    good = errors <= max(tolerance_m, float(errors.min()) + (0.0 if errors.min() <= tolerance_m else _AS_NEAR_M))
+    motion = np.where(good, ((candidates - start) ** 2).sum(axis=1), np.inf)
+    return int(motion.argmin())
+
+
+def refine(
+    run: Block,
+    folded: Folded,
+    aims: Array,
+    u: Array,
+    tolerance_m: float,
+    damping: float,
+    most_calls: int,
+    *,
+    group: int = 1,
+) -> Ends:
+    """Iterates columns until each is at its aim or where no motion brings it nearer.
+
+    Args:
+        run: the block.
+        folded: the chain.
+        aims: (columns, 3), in the folded chain's first frame.
+        u: (columns, n), where to begin.
+        tolerance_m: what counts as at the aim.
+        damping: to begin with, m²/rad².
+        most_calls: of the block.
+        group: so many columns in a row have one aim: it is enough that one of them arrives.
+    """
+    count = len(aims)
+    fill = -count % _LANES
+    target = _columns(aims, fill)
+    state, damped = _columns(u, fill), torch.full((count + fill,), damping, dtype=torch.float64)
+    links = torch.from_numpy(folded.links)
+    bounds, scalars = torch.from_numpy(folded.limits), torch.tensor([tolerance_m**2], dtype=torch.float64)
+    flat = (_FLAT * float(folded.levers.max())) ** 2
+    calls = np.zeros(count, dtype=np.int64)
+    going = np.ones(count, dtype=np.bool_)
+    while True:
+        state, damped, squared, slope = run.call((state, damped, target, links, bounds, scalars))
+        calls[going] += 1
+        error2 = squared.numpy()[:count]
+        met = error2 <= tolerance_m**2
+        stationary = ~met & (slope.numpy()[:count] <= flat * error2)
+        over = met | stationary
+        arrived = met.reshape(-1, group).any(axis=1) | over.reshape(-1, group).all(axis=1)
+        going = ~np.repeat(arrived, group)
+        if not going.any() or calls.max() >= most_calls:
+            return Ends(state.numpy()[:, :count].T.copy(), np.sqrt(error2), met, stationary, calls)
+
+
+def _columns(rows: Array, fill: int) -> torch.Tensor:
+    """Rows as columns, the last one repeated to fill up."""
+    if fill:
+        rows = np.concatenate([rows, np.broadcast_to(rows[-1:], (fill, rows.shape[1]))])
+    return torch.from_numpy(np.ascontiguousarray(rows.T))
