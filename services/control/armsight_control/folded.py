@@ -3,7 +3,8 @@ r"""A chain reduced to the joints that may move: what solvers and batched kinema
 Every joint turns about the z-axis of a frame of its own, and every link between two of them is a translation and a
 turn about x, so that a joint costs a sine, a cosine and some twenty multiplications, whatever its axis is:
 
-.. math:: p_{base} = o + R\, R_z(u_1)\,(t_1 + R_x(\alpha_1)\, R_z(u_2)\,(t_2 + \dots R_z(u_n)\, t_n)), \qquad u = q + offset
+.. math:: p_{base} = o + R\, R_z(u_1)\,(t_1 + R_x(\alpha_1)\, R_z(u_2)\,(t_2 + \dots R_z(u_n)\, t_n))
+    \quad \text{with} \quad u = q + offset
 
 Joints that stay where they are become part of the links.
 """

@@ -15,8 +15,8 @@ from armsight_control.torch_kinematics import Vector, sines, tip_and_columns
 
 DESCENT_STEPS = 10
 """Per call: a call costs some 5 µs, a step of 64 columns 1 µs; compiling takes longer with every step."""
-DAMPED_STEPS = 3
-"""Per call: from a descent's tolerance three steps reach rounding."""
+DAMPED_STEPS = 1
+"""Per call: a start takes about ten, and every further one in a call would be compiled for minutes."""
 
 # Of the damping, m²/rad², between steps: the customary factors of Levenberg-Marquardt.
 _TRUST, _DISTRUST = 0.2, 4.0
