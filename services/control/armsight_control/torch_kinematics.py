@@ -13,6 +13,8 @@ from armsight_control.errors import JointCountError
 from armsight_control.folded import Folded, fold
 
 Vector = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+Link = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+"""x, y, z, cos alpha and sin alpha of one link: see :class:`~armsight_control.folded.Folded`."""
 
 
 def forward(chain: Chain, q: torch.Tensor) -> torch.Tensor:
@@ -46,9 +48,14 @@ def tip_and_jacobian(chain: Chain, q: torch.Tensor) -> tuple[torch.Tensor, torch
     return tips, slopes
 
 
-def links_of(folded: Folded, dtype: torch.dtype) -> torch.Tensor:
-    """The links of a folded chain as a tensor (n, 5)."""
-    return torch.as_tensor(folded.links, dtype=dtype)
+def links_of(folded: Folded, dtype: torch.dtype) -> list[Link]:
+    """The links of a folded chain."""
+    return split(torch.as_tensor(folded.links, dtype=dtype))
+
+
+def split(links: torch.Tensor) -> list[Link]:
+    """A tensor (n, 5) of links as scalars, once for all that is computed with them."""
+    return [(x, y, z, cosine, sine) for x, y, z, cosine, sine in (link.unbind() for link in links.unbind())]
 
 
 def sines(u: Sequence[torch.Tensor]) -> list[tuple[torch.Tensor, torch.Tensor]]:
@@ -57,17 +64,17 @@ def sines(u: Sequence[torch.Tensor]) -> list[tuple[torch.Tensor, torch.Tensor]]:
 
 
 def tip_and_columns(
-    turns: Sequence[tuple[torch.Tensor, torch.Tensor]], links: torch.Tensor
+    turns: Sequence[tuple[torch.Tensor, torch.Tensor]], links: Sequence[Link]
 ) -> tuple[Vector, list[Vector]]:
     """The tip and the columns of its Jacobian in the frame of the first joint, from the tip inwards.
 
     Args:
         turns: of :func:`sines`, of u = q + offset.
-        links: (n, 5), see :class:`~armsight_control.folded.Folded`.
+        links: of every joint.
     """
     n = len(turns)
     nothing = torch.zeros_like(turns[0][0])
-    x, y, z = (links[n - 1, axis] + nothing for axis in range(3))
+    x, y, z = (place + nothing for place in links[n - 1][:3])
     columns: list[Vector] = []
     for i in reversed(range(n)):
         s, c = turns[i]
@@ -75,11 +82,7 @@ def tip_and_columns(
         columns = [(c * a - s * b, s * a + c * b, d) for a, b, d in columns]
         columns.insert(0, (-y, x, nothing))
         if i > 0:
-            cosine, sine = links[i - 1, 3], links[i - 1, 4]
-            x, y, z = (
-                links[i - 1, 0] + x,
-                links[i - 1, 1] + cosine * y - sine * z,
-                links[i - 1, 2] + sine * y + cosine * z,
-            )
+            along, across, up, cosine, sine = links[i - 1]
+            x, y, z = along + x, across + cosine * y - sine * z, up + sine * y + cosine * z
             columns = [(a, cosine * b - sine * d, sine * b + cosine * d) for a, b, d in columns]
     return (x, y, z), columns

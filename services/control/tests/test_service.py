@@ -391,15 +391,18 @@ def test_many_targets_are_answered_in_their_order_in_one_reply(rig: Rig) -> None
     rig.reset(np.zeros(4))
     targets = [Vector3(x=3.6, y=1.2, z=7.5), Vector3(x=9.0, z=4.0), Vector3(x=-2.0, y=2.0, z=8.0)]
     answers: list[SolveIkResponse] = []
+    refusals: list[str] = []
 
     def answered() -> bool:
         try:
-            answers.append(rig.bus.query(SOLVE_IK, SolveIkRequest(targets=targets, free=rig.arm.chain.names)))
+            request = SolveIkRequest(targets=targets, free=rig.arm.chain.names)
+            answers.append(rig.bus.query(SOLVE_IK, request, timeout_s=10))
         except RefusedError as refused:
-            assert "solver loading" in str(refused)
+            refusals.append(str(refused))
         return bool(answers)
 
     rig.until(answered, 90)
+    assert all("solver loading" in refusal or "busy" in refusal for refusal in refusals)
     solutions = answers[0].solutions
     assert [each.status for each in solutions] == [IK_STATUS_CONVERGED, IK_STATUS_UNREACHABLE, IK_STATUS_CONVERGED]
     assert solutions[1].residual_m == pytest.approx(3.0, abs=1e-3)

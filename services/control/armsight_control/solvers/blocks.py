@@ -11,7 +11,7 @@ first frame.
 
 import torch
 
-from armsight_control.torch_kinematics import Vector, sines, tip_and_columns
+from armsight_control.torch_kinematics import Link, Vector, sines, split, tip_and_columns
 
 DESCENT_STEPS = 10
 """Per call: a call costs some 5 µs, a step of 64 columns 1 µs; compiling takes longer with every step."""
@@ -54,25 +54,26 @@ class Descent(torch.nn.Module):
         Returns:
             u, v, and the squared error (columns,) before the last step; below the tolerance it is u's own.
         """
-        n = u.shape[0]
         angles, speeds = list(u.unbind()), list(v.unbind())
-        beta, tolerance = scalars[0], scalars[1]
-        squared = target[0]
+        n, chain, within, aim = len(angles), split(links), _rows(bounds), _vector(target)
+        beta, tolerance = scalars.unbind()
+        squared = aim[0]
         for _ in range(DESCENT_STEPS):
             turns = sines(angles)
-            (x, y, z), arms = _tip_and_arms(turns, links)
-            error = (x - target[0], y - target[1], z - target[2])
+            (x, y, z), arms = _tip_and_arms(turns, chain)
+            error = (x - aim[0], y - aim[1], z - aim[2])
             squared = _dot(error, error)
             going = squared > tolerance
             for i in range(n):
                 ex, ey, ez = error
                 gradient = arms[i][0] * ey - arms[i][1] * ex
                 if i + 1 < n:
-                    (s, c), cosine, sine = turns[i], links[i, 3], links[i, 4]
+                    (s, c), (*_, cosine, sine) = turns[i], chain[i]
                     ex, ey = c * ex + s * ey, c * ey - s * ex
                     error = (ex, cosine * ey + sine * ez, cosine * ez - sine * ey)
-                moved = angles[i] + beta * speeds[i] - bounds[i, 2] * gradient
-                moved = torch.minimum(torch.maximum(moved, bounds[i, 0]), bounds[i, 1])
+                lower, upper, size = within[i]
+                moved = angles[i] + beta * speeds[i] - size * gradient
+                moved = torch.minimum(torch.maximum(moved, lower), upper)
                 moved = torch.where(going, moved, angles[i])
                 speeds[i], angles[i] = moved - angles[i], moved
         return torch.stack(angles), torch.stack(speeds), squared
@@ -111,17 +112,18 @@ class Damped(torch.nn.Module):
             where within the limits no motion brings the tip nearer.
         """
         angles = list(u.unbind())
-        error, columns = _error_and_columns(angles, target, links)
+        chain, within, aim = split(links), _rows(bounds), _vector(target)
+        error, columns = _error_and_columns(angles, aim, chain)
         squared = _dot(error, error)
         for _ in range(DAMPED_STEPS):
             step = _damped_step(columns, error, damping, None)
-            inside = [_inside(a, d, bounds[i]) for i, (a, d) in enumerate(zip(angles, step, strict=True))]
+            inside = [_inside(a, d, limits) for a, d, limits in zip(angles, step, within, strict=True)]
             step = _damped_step(columns, error, damping, inside)
             tried = [
-                torch.minimum(torch.maximum(a + d, bounds[i, 0]), bounds[i, 1])
-                for i, (a, d) in enumerate(zip(angles, step, strict=True))
+                torch.minimum(torch.maximum(a + d, lower), upper)
+                for a, d, (lower, upper) in zip(angles, step, within, strict=True)
             ]
-            tried_error, tried_columns = _error_and_columns(tried, target, links)
+            tried_error, tried_columns = _error_and_columns(tried, aim, chain)
             tried_squared = _dot(tried_error, tried_error)
             going = squared > scalars[0]
             nearer = tried_squared < squared
@@ -136,40 +138,44 @@ class Damped(torch.nn.Module):
         slope = torch.zeros_like(squared)
         for i, angle in enumerate(angles):
             gradient = _dot(columns[i], error)
-            gradient = gradient * _inside(angle, -gradient, bounds[i])
+            gradient = gradient * _inside(angle, -gradient, within[i])
             slope = slope + gradient * gradient
         return torch.stack(angles), damping, squared, slope
 
 
+def _rows(table: torch.Tensor) -> list[tuple[torch.Tensor, ...]]:
+    """The numbers of a table as scalars, once for all steps."""
+    return [row.unbind() for row in table.unbind()]
+
+
+def _vector(rows: torch.Tensor) -> Vector:
+    x, y, z = rows.unbind()
+    return x, y, z
+
+
 def _tip_and_arms(
-    turns: list[tuple[torch.Tensor, torch.Tensor]], links: torch.Tensor
+    turns: list[tuple[torch.Tensor, torch.Tensor]], links: list[Link]
 ) -> tuple[Vector, list[tuple[torch.Tensor, torch.Tensor]]]:
     """The tip in the first frame, and its x and y in every joint's own."""
     n = len(turns)
-    x, y, z = links[n - 1, 0], links[n - 1, 1], links[n - 1, 2]
+    x, y, z = links[n - 1][:3]
     arms = []
     for i in reversed(range(n)):
         s, c = turns[i]
         x, y = c * x - s * y, s * x + c * y
         arms.append((x, y))
         if i > 0:
-            cosine, sine = links[i - 1, 3], links[i - 1, 4]
-            x, y, z = (
-                links[i - 1, 0] + x,
-                links[i - 1, 1] + cosine * y - sine * z,
-                links[i - 1, 2] + sine * y + cosine * z,
-            )
+            along, across, up, cosine, sine = links[i - 1]
+            x, y, z = along + x, across + cosine * y - sine * z, up + sine * y + cosine * z
     return (x, y, z), arms[::-1]
 
 
-def _error_and_columns(
-    angles: list[torch.Tensor], target: torch.Tensor, links: torch.Tensor
-) -> tuple[Vector, list[Vector]]:
+def _error_and_columns(angles: list[torch.Tensor], target: Vector, links: list[Link]) -> tuple[Vector, list[Vector]]:
     (x, y, z), columns = tip_and_columns(sines(angles), links)
     return (x - target[0], y - target[1], z - target[2]), columns
 
 
-def _inside(angle: torch.Tensor, step: torch.Tensor, bounds: torch.Tensor) -> torch.Tensor:
+def _inside(angle: torch.Tensor, step: torch.Tensor, bounds: tuple[torch.Tensor, ...]) -> torch.Tensor:
     """1 where a joint may go that way, 0 where a limit stands in it."""
     at_limit = torch.logical_or(
         torch.logical_and(angle <= bounds[0], step < 0), torch.logical_and(angle >= bounds[1], step > 0)
