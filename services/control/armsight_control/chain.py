@@ -53,4 +53,5 @@ class Chain:
 
     def clip(self, q: Array) -> Array:
         """The nearest configuration within the limits."""
-        return np.clip(q, self.limits[:, 0], self.limits[:, 1])
+        # what np.clip does, without its checks: half the time for one configuration
+        return np.minimum(np.maximum(q, self.limits[:, 0]), self.limits[:, 1])

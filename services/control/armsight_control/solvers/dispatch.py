@@ -1,5 +1,6 @@
 """From a solver's name and a problem to its solution: what all solvers have in common before and after."""
 
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 
@@ -13,7 +14,7 @@ from armsight_control.kinematics import Links, forward, links_of
 from armsight_control.solvers import closed_form, redundant
 from armsight_control.solvers.options import Options
 from armsight_control.solvers.problem import REPORT_FREE, Found, Problem, Solution, Solutions, Status, Task
-from armsight_control.solvers.workspace import Moving, nearest_reachable_batch
+from armsight_control.solvers.workspace import Moving, nearest_reachable, reached
 
 _JOINT_2 = 1
 
@@ -130,25 +131,29 @@ def _checked(chain: Chain, targets: Array, starts: Array) -> tuple[Array, Array]
         raise SolverError(f"targets of shape {targets.shape}: expected (m, 3) with m of at least 1")
     if starts.shape != (len(targets), chain.count):
         raise SolverError(f"starts of shape {starts.shape}: expected ({len(targets)}, {chain.count})")
-    good = np.isfinite(targets).all(axis=1) & np.isfinite(starts).all(axis=1)
-    if not good.all():
+    if not (np.isfinite(targets).all() and np.isfinite(starts).all()):
+        good = np.isfinite(targets).all(axis=1) & np.isfinite(starts).all(axis=1)
         raise SolverError(f"target {int(np.argmin(good))} or its start is not finite")
     return targets, chain.clip(starts)
 
 
 def _alike(starts: Array, free: tuple[int, ...]) -> list[NDArray[np.int64]]:
     """Rows that hold the joints that may not move at the same angles."""
-    held = np.delete(starts, free, axis=1)
+    held = starts[:, _held(starts.shape[1], free)]
     if len(starts) == 1 or (held == held[0]).all():
         return [np.arange(len(starts))]
     _, group = np.unique(held, axis=0, return_inverse=True)
     return [np.flatnonzero(group.ravel() == each) for each in range(group.max() + 1)]
 
 
+def _held(count: int, free: tuple[int, ...]) -> list[int]:
+    return [i for i in range(count) if i not in free]
+
+
 def _solve_alike(
     name: str, chain: Chain, targets: Array, starts: Array, free: tuple[int, ...], options: Options
 ) -> Solutions:
-    folded = fold(chain, free, tuple(np.delete(starts[0], free).tolist()))
+    folded = fold(chain, free, tuple(starts[0, _held(chain.count, free)].tolist()))
     task = Task(chain, folded, targets, starts, options)
     aims, reachable = _aims(task)
     found = SOLVERS[name](Task(chain, folded, aims, starts, options))
@@ -181,8 +186,14 @@ def _aims(task: Task) -> tuple[Array, NDArray[np.bool_] | None]:
         return task.aims, None
     links = links_of_report(task.chain)
     assert links is not None
-    tips = forward(task.chain, task.starts)
-    return nearest_reachable_batch(links, task.aims, np.arctan2(tips[:, 1], tips[:, 0]), moving)
+    within = reached(links, task.aims, moving)
+    if within.all():
+        return task.aims, within
+    aims = task.aims.copy()
+    for i in np.flatnonzero(~within):
+        x, y, _ = forward(task.chain, task.starts[i])
+        aims[i], within[i] = nearest_reachable(links, task.aims[i], math.atan2(y, x), moving)
+    return aims, within
 
 
 def _moving(task: Task) -> Moving | None:

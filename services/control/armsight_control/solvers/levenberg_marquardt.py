@@ -6,6 +6,7 @@ reach of a chain is not known, a start that ends where no motion brings the tip 
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -109,8 +110,7 @@ def refine(
     fill = -count % _LANES
     target = _columns(aims, fill)
     state, damped = _columns(u, fill), torch.full((count + fill,), damping, dtype=torch.float64)
-    links = torch.from_numpy(folded.links)
-    bounds, scalars = torch.from_numpy(folded.limits), torch.tensor([tolerance_m**2], dtype=torch.float64)
+    links, bounds, scalars = _constants(folded, tolerance_m)
     flat = (_FLAT * float(folded.levers.max())) ** 2
     calls = np.zeros(count, dtype=np.int64)
     going = np.ones(count, dtype=np.bool_)
@@ -119,6 +119,8 @@ def refine(
         calls[going] += 1
         error2 = squared.numpy()[:count]
         met = error2 <= tolerance_m**2
+        if met.all():
+            return Ends(state.numpy()[:, :count].T.copy(), np.sqrt(error2), met, ~met, calls)
         stationary = ~met & (slope.numpy()[:count] <= flat * error2)
         over = met | stationary
         arrived = met.reshape(-1, group).any(axis=1) | over.reshape(-1, group).all(axis=1)
@@ -127,8 +129,15 @@ def refine(
             return Ends(state.numpy()[:, :count].T.copy(), np.sqrt(error2), met, stationary, calls)
 
 
+@lru_cache(maxsize=64)
+def _constants(folded: Folded, tolerance_m: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    scalars = torch.tensor([tolerance_m**2], dtype=torch.float64)
+    return torch.from_numpy(folded.links), torch.from_numpy(folded.limits), scalars
+
+
 def _columns(rows: Array, fill: int) -> torch.Tensor:
     """Rows as columns, the last one repeated to fill up."""
-    if fill:
-        rows = np.concatenate([rows, np.broadcast_to(rows[-1:], (fill, rows.shape[1]))])
-    return torch.from_numpy(np.ascontiguousarray(rows.T))
+    columns = np.empty((rows.shape[1], len(rows) + fill))
+    columns[:, : len(rows)] = rows.T
+    columns[:, len(rows) :] = rows[-1, :, None]
+    return torch.from_numpy(columns)

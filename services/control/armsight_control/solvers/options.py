@@ -39,11 +39,11 @@ class TorchOptions:
 
     starts: int = 64
     """Per target, the problem's own among them: what a call of the compiled block computes in its shortest time."""
-    momentum: float = 0.9
+    momentum: float = 0.8
     """Of the speed, kept from step to step; heavier overshoots, lighter takes more steps."""
-    step: float = 1.0
-    """In units of 1 / (joints x lever²) per joint, the largest that is safe without momentum."""
-    descent_m: float = 0.002
+    step: float = 3.0
+    """In units of 1 / (joints x lever²) per joint, the largest that surely descends: most poses bear more."""
+    descent_m: float = 0.004
     """Where the descent ends: below the 5 mm that a solution is judged by, where the last steps converge at once."""
     tolerance_m: float = 1e-6
     """Where the last steps end: a thousandth of what vision can tell."""

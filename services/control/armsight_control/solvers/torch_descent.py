@@ -12,6 +12,7 @@ for a while, even when another start arrives first.
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -33,6 +34,8 @@ _FOLLOW_STEPS = 200
 # Of the last steps: from the descent's tolerance two calls are enough, at the edge of the reach it takes longer.
 _POLISH_STEPS = 30
 _POLISH_DAMPING = 1e-4
+# A joint whose axis runs through the tip moves nothing, and needs no step.
+_LEAST_LEVER_M = 1e-3
 
 
 def solve(task: Task) -> Found:
@@ -68,11 +71,8 @@ def _descend(
         Of each target the chosen u (m, n), whether it is within the descent's tolerance (m,), and the calls it took.
     """
     m, n = own.shape
-    steps = options.step / (n * np.maximum(folded.levers, 1e-9) ** 2)
-    bounds = torch.from_numpy(np.column_stack([folded.limits, steps]).astype(np.float32))
-    links = torch.from_numpy(folded.links.astype(np.float32))
+    constants = _constants(folded, options)
     tolerance2 = np.float32(options.descent_m**2)
-    scalars = torch.tensor([options.momentum, options.descent_m**2], dtype=torch.float32)
     begin = np.empty((n, m, count), dtype=np.float32)
     begin[:, :, 0] = own.T
     begin[:, :, 1:] = spread(folded, count - 1, options.seed).T[:, None]
@@ -80,30 +80,42 @@ def _descend(
     v = torch.zeros_like(u)
     target = torch.from_numpy(np.repeat(aims.T.astype(np.float32), count, axis=1))
     best, met, calls = own.copy(), np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.int64)
-    rows, followed = np.arange(m), np.zeros(m, dtype=np.bool_)
+    rows = np.arange(m)
+    followed: NDArray[np.bool_] | None = None
     for call in range(1, math.ceil(options.max_steps / DESCENT_STEPS) + 1):
-        u, v, squared = run.call((u, v, target, links, bounds, scalars))
+        u, v, squared = run.call((u, v, target, *constants))
         error2 = squared.numpy().reshape(-1, count)
-        there = error2 < tolerance2
-        if call == 1:
+        if followed is None:
             followed = error2[:, 0] < options.follow_m**2
-        done = there.any(axis=1)
-        if call * DESCENT_STEPS < _FOLLOW_STEPS:
-            done &= there[:, 0] | ~followed
         last = call * DESCENT_STEPS >= options.max_steps
-        if not (done.any() or last):
+        if error2.min() >= tolerance2 and not last:
             continue
-        over = np.ones_like(done) if last else done
+        there = error2 < tolerance2
+        arrived = there.any(axis=1)
+        if call * DESCENT_STEPS < _FOLLOW_STEPS:
+            arrived &= there[:, 0] | ~followed
+        over = np.ones_like(arrived) if last else arrived
         ended = rows[over]
+        if not len(ended):
+            continue
         angles = u.numpy().reshape(n, -1, count)
         best[ended] = _chosen(angles[:, over], there[over], error2[over], own[ended])
-        met[ended], calls[ended] = done[over], call
-        if over.all():
+        met[ended], calls[ended] = arrived[over], call
+        if len(ended) == len(rows):
             break
         rows, followed = rows[~over], followed[~over]
         keep = torch.from_numpy(np.repeat(~over, count))
         u, v, target = u[:, keep], v[:, keep], target[:, keep]
     return best, met, calls
+
+
+@lru_cache(maxsize=64)
+def _constants(folded: Folded, options: TorchOptions) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Links, bounds with step sizes, and scalars, as the block takes them."""
+    steps = options.step / (len(folded.free) * np.maximum(folded.levers, _LEAST_LEVER_M) ** 2)
+    bounds = np.column_stack([folded.limits, steps]).astype(np.float32)
+    scalars = torch.tensor([options.momentum, options.descent_m**2], dtype=torch.float32)
+    return torch.from_numpy(folded.links.astype(np.float32)), torch.from_numpy(bounds), scalars
 
 
 def _chosen(angles: Array, there: NDArray[np.bool_], error2: Array, own: Array) -> Array:
