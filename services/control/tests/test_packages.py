@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from armsight_control.solvers import packages
+from armsight_control.solvers import blocks, packages
 from armsight_control.solvers.compile import compile_block
 from armsight_control.solvers.packages import Baseline, block, describe, path_of, refusal_of
 
@@ -62,7 +62,7 @@ def test_the_name_of_a_package_changes_with_the_source_it_was_made_from(
     before = path_of("descent", 3, tmp_path)
     other = tmp_path / "blocks.py"
     other.write_text("other source")
-    monkeypatch.setattr(packages.blocks, "__file__", str(other))
+    monkeypatch.setattr(blocks, "__file__", str(other))
     assert path_of("descent", 3, tmp_path) != before
     assert torch.__version__ in before.name
 

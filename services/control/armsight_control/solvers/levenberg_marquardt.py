@@ -5,6 +5,7 @@ reach of a chain is not known, a start that ends where no motion brings the tip 
 """
 
 import math
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from armsight_control.chain import Array
 from armsight_control.folded import Folded
 from armsight_control.solvers.blocks import DAMPED_STEPS
+from armsight_control.solvers.options import LevenbergMarquardtOptions
 from armsight_control.solvers.packages import Block, block
 from armsight_control.solvers.problem import Found, Task
 from armsight_control.solvers.start import spread
@@ -49,31 +51,59 @@ def solve(task: Task) -> Found:
         aims, own = folded.to_first(task.aims), task.free_starts + folded.offsets
         most = math.ceil(options.max_steps / DAMPED_STEPS)
         ends = refine(run, folded, aims, own, options.tolerance_m, options.damping, most)
-        u, met, stationary = ends.u, ends.met, ends.stationary
-        iterations = ends.calls * DAMPED_STEPS
-        left = np.flatnonzero(~met)
-        if len(left) and options.restarts:
-            starts = spread(folded, options.restarts, options.seed)
-            again = refine(
-                run,
-                folded,
-                np.repeat(aims[left], len(starts), axis=0),
-                np.tile(starts, (len(left), 1)),
-                options.tolerance_m,
-                options.damping,
-                most,
-                group=len(starts),
-            )
-            iterations[left] += again.calls[:: len(starts)] * DAMPED_STEPS
-            for k, row in enumerate(left):
-                part = slice(k * len(starts), (k + 1) * len(starts))
-                candidates = np.vstack([u[row : row + 1], again.u[part]])
-                errors = np.append(ends.error_m[row], again.error_m[part])
-                flat = np.append(stationary[row], again.stationary[part])
-                chosen = nearest(candidates, errors, options.tolerance_m, own[row])
-                u[row], met[row] = candidates[chosen], errors[chosen] <= options.tolerance_m
-                stationary[row] = flat[chosen]
-    return Found(u - folded.offsets, iterations, met, stationary, run.trouble)
+        ends = restarted(run, folded, aims, own, ends, ~ends.met, options)
+    return Found(ends.u - folded.offsets, ends.calls * DAMPED_STEPS, ends.met, ends.stationary, run.trouble)
+
+
+def restarted(
+    run: Block,
+    folded: Folded,
+    aims: Array,
+    own: Array,
+    ends: Ends,
+    again: NDArray[np.bool_],
+    options: LevenbergMarquardtOptions,
+) -> Ends:
+    """Tries some targets from other starts as well, and takes the best end of each.
+
+    Args:
+        run: the block.
+        folded: the chain.
+        aims: (m, 3), in the folded chain's first frame.
+        own: (m, n), the problem's starts.
+        ends: where these led.
+        again: (m,), which targets to try.
+        options: of the restarts.
+    """
+    left = np.flatnonzero(again)
+    if not len(left) or not options.restarts:
+        return ends
+    starts = spread(folded, options.restarts, options.seed)
+    count, tolerance_m = len(starts), options.tolerance_m
+    others = refine(
+        run,
+        folded,
+        np.repeat(aims[left], count, axis=0),
+        np.tile(starts, (len(left), 1)),
+        tolerance_m,
+        options.damping,
+        math.ceil(options.max_steps / DAMPED_STEPS),
+        group=count,
+    )
+    best = deepcopy(ends)
+    for k, row in enumerate(left):
+        part = slice(k * count, (k + 1) * count)
+        candidates = np.vstack([ends.u[row : row + 1], others.u[part]])
+        errors = np.append(ends.error_m[row], others.error_m[part])
+        chosen = nearest(candidates, errors, tolerance_m, own[row])
+        best.u[row], best.error_m[row], best.met[row] = (
+            candidates[chosen],
+            errors[chosen],
+            errors[chosen] <= tolerance_m,
+        )
+        best.stationary[row] = np.append(ends.stationary[row], others.stationary[part])[chosen]
+        best.calls[row] += others.calls[part.start]
+    return best
 
 
 def nearest(candidates: Array, errors: Array, tolerance_m: float, start: Array) -> int:

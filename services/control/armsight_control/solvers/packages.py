@@ -164,5 +164,4 @@ def _load(path: Path) -> Call:
         loaded = _aoti.AOTIModelPackageLoader(str(path), "model", True)  # run_single_threaded: no pool, no locks
     except TypeError:  # torch 2.6 takes two arguments
         loaded = _aoti.AOTIModelPackageLoader(str(path), "model")
-    run: Call = loaded.run
-    return lambda tensors: run(list(tensors))
+    return lambda tensors: loaded.run(list(tensors))

@@ -16,6 +16,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armsight_control.chain import Array
 from armsight_control.kinematics import Links
@@ -39,7 +40,7 @@ class Family:
     psi: Array
     h: Array
     azimuth: Array
-    off_axis: Array
+    off_axis: NDArray[np.bool_]
     """False for targets on the z-axis, where any theta is right and `azimuth` holds the start's."""
     middle: Array
     """Of nu's interval."""

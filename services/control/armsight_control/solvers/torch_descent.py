@@ -9,6 +9,9 @@ the nearest to the start.
 
 An answer should stay on its branch while a target is followed. So a start whose tip is near its target is waited for,
 for a while, even when another start arrives first.
+
+What no descent reaches is left to :mod:`~armsight_control.solvers.levenberg_marquardt` altogether: that solver knows
+when no motion brings the tip nearer, which in chains whose reach is not known is the answer.
 """
 
 import math
@@ -21,7 +24,7 @@ from numpy.typing import NDArray
 from armsight_control.chain import Array
 from armsight_control.folded import Folded
 from armsight_control.solvers.blocks import DAMPED_STEPS, DESCENT_STEPS
-from armsight_control.solvers.levenberg_marquardt import Ends, refine
+from armsight_control.solvers.levenberg_marquardt import Ends, refine, restarted
 from armsight_control.solvers.options import TorchOptions
 from armsight_control.solvers.packages import Block, block
 from armsight_control.solvers.problem import Found, Task
@@ -52,6 +55,8 @@ def solve(task: Task) -> Found:
             u[left], met[left], more = _descend(descent, folded, aims[left], own[left], options.starts, options)
             calls[left] += more
         ends = _polish(damped, folded, aims, u, options)
+        missed = ends.error_m > options.descent_m
+        ends = restarted(damped, folded, aims, own, ends, missed, task.options.levenberg_marquardt)
     at_aim = ends.error_m <= options.descent_m
     return Found(
         q=ends.u - folded.offsets,
@@ -80,20 +85,19 @@ def _descend(
     v = torch.zeros_like(u)
     target = torch.from_numpy(np.repeat(aims.T.astype(np.float32), count, axis=1))
     best, met, calls = own.copy(), np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.int64)
-    rows = np.arange(m)
-    followed: NDArray[np.bool_] | None = None
+    rows, followed = np.arange(m), np.zeros(m, dtype=np.bool_)
     for call in range(1, math.ceil(options.max_steps / DESCENT_STEPS) + 1):
         u, v, squared = run.call((u, v, target, *constants))
         error2 = squared.numpy().reshape(-1, count)
-        if followed is None:
-            followed = error2[:, 0] < options.follow_m**2
+        if call == 1:
+            followed = np.asarray(error2[:, 0] < options.follow_m**2)
         last = call * DESCENT_STEPS >= options.max_steps
         if error2.min() >= tolerance2 and not last:
             continue
         there = error2 < tolerance2
-        arrived = there.any(axis=1)
+        arrived = np.asarray(there.any(axis=1))
         if call * DESCENT_STEPS < _FOLLOW_STEPS:
-            arrived &= there[:, 0] | ~followed
+            arrived = arrived & (there[:, 0] | ~followed)
         over = np.ones_like(arrived) if last else arrived
         ended = rows[over]
         if not len(ended):
