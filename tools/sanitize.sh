@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Vision's unit tests with sanitizers, all that needs no bus: addresses and undefined behaviour in every test, data races
 # in the one that runs the service's threads. Optimised a little only: that compiles in half the time.
+# Warnings are errors in every other build, not here: what sanitizers add makes GCC 12 warn of what is initialised.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -9,7 +10,7 @@ build() { # build FOLDER SANITIZERS TARGET...
     shift 2
     [ -f "$folder/build.ninja" ] || cmake -S services/vision_cpp -B "$folder" -G Ninja \
         -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1 -DNDEBUG" \
-        -DARMSIGHT_SERVICE=OFF -DARMSIGHT_SANITIZE="$sanitizers" >/dev/null
+        -DARMSIGHT_SERVICE=OFF -DARMSIGHT_STRICT=OFF -DARMSIGHT_SANITIZE="$sanitizers" >/dev/null
     cmake --build "$folder" --target "$@"
 }
 
