@@ -134,7 +134,8 @@ class Run:
         self._bus.query(topics.MODE, request, timeout_s=_ANSWER_S)
         wanted = ControlMode.Value(f"CONTROL_MODE_{mode.upper().replace('-', '_')}")
         try:
-            first = self._next(status, lambda m: m.mode == wanted)
+            # without a capture time it says that no positions came for a while (a busy machine), and answers none
+            first = self._next(status, lambda m: m.mode == wanted and m.HasField("capture_time"))
             begin = from_timestamp(first.capture_time)
             instants: list[Instant] = []
             message = first
