@@ -38,6 +38,7 @@ from armsight_control.errors import ControlError, ModeError, SetpointError
 from armsight_control.kinematics import forward
 from armsight_control.loop import Answer, Loop
 from armsight_control.modes import NAMES, Mode, mode_of
+from armsight_control.movement import MotionOptions
 from armsight_control.solvers import Options, solve
 from armsight_control.trajectory import MotionLimits, part1_motion, part2_motion
 
@@ -63,7 +64,7 @@ class Stack:
         self.description = description
 
     def new_loop(self, description: ArmDescription) -> Loop:
-        loop = Loop(self.limits, Options(), 0, self.counters)
+        loop = Loop(self.limits, MotionOptions(), Options(), 0, self.counters)
         loop.describe(description)
         return loop
 
@@ -108,7 +109,7 @@ def stack(description: ArmDescription, arm: Arm, camera: "Camera", states: Calla
 
 
 def test_without_a_description_and_without_a_setpoint_it_waits_and_says_for_what(stack: Stack) -> None:
-    stack.loop = Loop(stack.limits, Options(), 0, stack.counters)
+    stack.loop = Loop(stack.limits, MotionOptions(), Options(), 0, stack.counters)
     answer = stack.step()
     assert (answer.status.state, answer.command.hold) == (CONTROL_STATE_WAITING, True)
     assert "description" in answer.status.detail
