@@ -153,6 +153,7 @@ class Movement:
         self._pace: safety.Pace | None = None
         self._sent: deque[tuple[int, State]] = deque(maxlen=8)
         self._expected: safety.Expected | None = None
+        self._where = np.zeros(3)
         self._correction = Correction()
         self._now_ns = self._rested_ns = 0
 
@@ -252,10 +253,11 @@ class Movement:
             return
         chain, commanded = body.arm.chain, self._commanded(setpoint, step.capture_ns)
         where = forward(chain, commanded.position)
+        speed = 0.0 if self._expected is None else float(np.linalg.norm(where - self._where)) / step.dt_s
+        self._where = where
         self._expected = safety.expect(self._expected, tip, where)
         safety.check_expected(self._expected)
         if self.mode in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW) and self._settled(step):
-            speed = float(np.linalg.norm(jacobian(chain, commanded.position) @ commanded.velocity))
             self._correction = corrected(self._correction, tip, where, speed, step.dt_s)
 
     def move(self, setpoint: Array, step: Step, lead_s: float) -> Decision:
@@ -358,13 +360,15 @@ class Movement:
         if self._switching:
             detail = f"{detail}; " * bool(detail) + "on its way to another branch"
         columns = list(self._free)
-        present = smallest_singular_value(jacobian(chain, state.position)[:, columns])
-        ahead = smallest_singular_value(jacobian(chain, aim.q)[:, columns])
+
+        def nearness(q: Array) -> float:
+            return smallest_singular_value(jacobian(chain, q)[:, columns])
+
         return _Way(
             Goal(aim.q, aim.velocity),
             detail,
             SAFETY_CODE_BRANCH_SWITCH if self._switching else SAFETY_CODE_OK,
-            safety.slow_for_singularity(present, ahead),
+            safety.slow_for_singularity(nearness(state.position), lambda: nearness(aim.q)),
             _SEEN_RAD,
             _SEEN_RAD_S,
         )

@@ -1,5 +1,6 @@
 """The last word before a command: why the arm must not move now, and whether a setpoint keeps every limit."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,12 +115,12 @@ def check_expected(expected: Expected) -> None:
         raise PositionsError("innovation", "the tip jumped: is a marker taken for another?")
 
 
-def slow_for_singularity(present_m: float, ahead_m: float) -> float:
+def slow_for_singularity(present_m: float, ahead_m: Callable[[], float]) -> float:
     """Share of the speed limits to keep to, by the Jacobian's smallest singular value now and where the arm goes.
 
     The way out of a singularity is free.
     """
-    if ahead_m >= present_m or present_m >= _SINGULAR_FROM_M:
+    if present_m >= _SINGULAR_FROM_M or ahead_m() >= present_m:
         return 1.0
     into = (_SINGULAR_FROM_M - present_m) / (_SINGULAR_FROM_M - _SINGULAR_TO_M)
     return max(_SINGULAR_SHARE, 1.0 - (1.0 - _SINGULAR_SHARE) * into)
