@@ -108,15 +108,30 @@ class Stepped:
     """Joints that would else have passed a limit."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """What the way in hand was planned from, and how far it is done."""
+
+    goal: Goal
+    slow: float
+    done_s: float
+    state: State
+
+
 class Planner:
-    """One arm's bounds; remembers nothing from one step to the next."""
+    """One arm's bounds, and the way in hand to a goal that rests.
+
+    A goal that stays what it was is not planned to anew: from rest the way is straight in joint space, and a new plan
+    from its middle would be so but for rounding, on which it depends.
+    """
 
     def __init__(self, chain: Chain, limits: MotionLimits) -> None:
         """Sets up the planner's memory once."""
         self._chain, self._limits = chain, limits
         self._speed = limits.speed(chain)
         self._planner = Ruckig(chain.count)
-        self._trajectory = Trajectory(chain.count)
+        self._way, self._stop = Trajectory(chain.count), Trajectory(chain.count)
+        self._plan: _Plan | None = None
         self._to_goal, self._to_speed = self._inputs(), self._inputs()
         self._to_goal.synchronization = Synchronization.Phase  # straight in joint space where it starts at rest
         self._to_speed.control_interface = ControlInterface.Velocity
@@ -135,17 +150,29 @@ class Planner:
         position = self._chain.clip(goal.position)
         most = np.where(position == goal.position, _GOAL_SHARE * speed, 0.0)
         moving = np.clip(goal.velocity, -most, most)
-        plan = self._to_goal
-        plan.current_position = (state.position - position + moving * dt_s).tolist()
-        plan.current_velocity = (state.velocity - moving).tolist()
-        plan.current_acceleration = state.acceleration.tolist()
-        plan.max_velocity = (speed - moving).tolist()
-        plan.min_velocity = (-speed - moving).tolist()
-        stepped = self._step(plan, dt_s)
-        if stepped is None:
-            return self.brake(state, dt_s)
-        there = State(stepped.position + position, stepped.velocity + moving, stepped.acceleration)
-        return self._within_limits(state, there, dt_s)
+        goal, done_s = Goal(position, moving), self._done(state, Goal(position, moving), slow)
+        if done_s == 0.0:
+            plan = self._to_goal
+            plan.current_position = (state.position - position + moving * dt_s).tolist()
+            plan.current_velocity = (state.velocity - moving).tolist()
+            plan.current_acceleration = state.acceleration.tolist()
+            plan.max_velocity = (speed - moving).tolist()
+            plan.min_velocity = (-speed - moving).tolist()
+            if not self._calculate(plan, self._way):
+                return self.brake(state, dt_s)
+        at = _at(self._way, done_s + dt_s)
+        there = State(at.position + position, at.velocity + moving, at.acceleration)
+        stepped = self._within_limits(state, there, dt_s)
+        self._plan = None if any(stepped.braked) else _Plan(goal, slow, done_s + dt_s, stepped.state)
+        return stepped
+
+    def _done(self, state: State, goal: Goal, slow: float) -> float:
+        """Seconds of the way in hand that are done; 0 where it is not the way from this state to this goal."""
+        plan = self._plan
+        if plan is None or plan.state is not state or plan.slow != slow or goal.velocity.any():
+            return 0.0
+        same = np.array_equal(plan.goal.position, goal.position) and not plan.goal.velocity.any()
+        return plan.done_s if same else 0.0
 
     def at_speed(self, state: State, velocity: Array, dt_s: float) -> Stepped:
         """One step on the way to a velocity."""
@@ -177,7 +204,7 @@ class Planner:
         lower, upper = self._chain.limits.T
         if self._towards_speed(state, np.zeros_like(state.velocity), 0.0) is None:
             return np.ones(self._chain.count, dtype=np.bool_)
-        extrema = self._trajectory.position_extrema
+        extrema = self._stop.position_extrema
         least, most = np.array([bound.min for bound in extrema]), np.array([bound.max for bound in extrema])
         return np.asarray((least < lower) | (most > upper))
 
@@ -191,17 +218,13 @@ class Planner:
         plan.current_velocity = state.velocity.tolist()
         plan.current_acceleration = state.acceleration.tolist()
         plan.target_velocity = velocity.tolist()
-        return self._step(plan, dt_s)
+        return _at(self._stop, dt_s) if self._calculate(plan, self._stop) else None
 
-    def _step(self, plan: InputParameter, dt_s: float) -> State | None:
+    def _calculate(self, plan: InputParameter, trajectory: Trajectory) -> bool:
         try:
-            result = self._planner.calculate(plan, self._trajectory)
+            return self._planner.calculate(plan, trajectory) in (Result.Working, Result.Finished)
         except RuckigError:
-            return None
-        if result not in (Result.Working, Result.Finished):
-            return None
-        position, velocity, acceleration = self._trajectory.at_time(dt_s)
-        return State(np.array(position), np.array(velocity), np.array(acceleration))
+            return False
 
     def _inputs(self) -> InputParameter:
         inputs, zeros = InputParameter(self._chain.count), [0.0] * self._chain.count
@@ -210,6 +233,11 @@ class Planner:
         inputs.max_acceleration = [self._limits.acceleration_rad_s2] * self._chain.count
         inputs.max_jerk = [self._limits.jerk_rad_s3] * self._chain.count
         return inputs
+
+
+def _at(trajectory: Trajectory, seconds: float) -> State:
+    position, velocity, acceleration = trajectory.at_time(seconds)
+    return State(np.array(position), np.array(velocity), np.array(acceleration))
 
 
 # --- the report's tests
