@@ -1,4 +1,4 @@
-"""Sim's physics and control's loop in one process, without bus and pixels: vision is exact, or as wrong as asked for."""
+"""Sim's physics and control's loop in one process, without bus and pixels: vision is as exact as asked for."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -59,7 +59,7 @@ class Bench:
     sigma_m: float = 0.0
     motion: MotionOptions = field(default_factory=MotionOptions)
     limits: MotionLimits = field(default_factory=MotionLimits)
-    lost: Callable[[float, str], bool] = lambda t, name: False
+    lost: Callable[[float, str], bool] = lambda _t, _name: False
     seed: int = 0
     stopped: bool = False
 
@@ -123,7 +123,7 @@ class Bench:
         return message
 
     def tip(self) -> Vector:
-        return np.array(self.world.data.site("tip").xpos) - BASE
+        return np.asarray(self.world.data.site("tip").xpos - BASE)
 
     def clearance(self) -> float:
         data, box = self.world.data, np.array(visible_box(self.t))

@@ -27,8 +27,6 @@ BRANCH_RAD = 0.5
 _NEAR_M = 1e-4
 _STEPS = 8
 _LARGEST_STEP_RAD = 0.2
-# In the null space, from one instant to the next: 0.3 rad/s at 30 frames a second.
-_NULL_STEP_RAD = 0.01
 _DIFFERENCE_S = 0.01
 
 
@@ -44,7 +42,7 @@ class Aim:
     """Whether the tip gets to the point asked for."""
 
 
-def aim(chain: Chain, free: tuple[int, ...], point: Moving, start: Array) -> Aim:
+def aim(chain: Chain, free: tuple[int, ...], point: Moving, start: Array, dt_s: float) -> Aim:
     r"""The configuration for a point in motion, near another configuration.
 
     The joints' velocity is the difference to where the point will be a little later: this is :math:`J^{-1} \dot x`
@@ -55,29 +53,30 @@ def aim(chain: Chain, free: tuple[int, ...], point: Moving, start: Array) -> Aim
         free: joints that may move; :data:`FREE_JOINTS`.
         point: base frame, metres and metres per second.
         start: the configuration to stay near to, all joints.
+        dt_s: since that was aimed at: how long the null space may be used.
 
     Raises:
         UnsupportedArmError: joint 2 is to stay at 0, and the arm is not of the report's shape.
     """
-    q, reachable = carried(chain, free, point.position, start, null_rad=_NULL_STEP_RAD)
-    later, _ = carried(chain, free, point.position + point.velocity * _DIFFERENCE_S, q, null_rad=0.0)
+    drift = np.zeros(chain.count)
+    if len(free) > len(point.position):
+        columns = list(free)
+        drift[columns] = null_motion(chain, start, jacobian(chain, start)[:, columns], free)
+    q, reachable = carried(chain, free, point.position, start + drift * dt_s)
+    later, _ = carried(chain, free, point.position + point.velocity * _DIFFERENCE_S, q)
     change = later - q
     # across a branch there is no velocity: the arm is on its way for longer than an instant
-    velocity = change / _DIFFERENCE_S if np.abs(change).max() < BRANCH_RAD / 2 else np.zeros(chain.count)
+    velocity = change / _DIFFERENCE_S + drift if np.abs(change).max() < BRANCH_RAD / 2 else np.zeros(chain.count)
     return Aim(q, velocity, forward(chain, q), reachable)
 
 
-def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array, null_rad: float) -> tuple[Array, bool]:
+def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> tuple[Array, bool]:
     """A configuration near ``start`` with the tip at a point, or as near to it as it gets; and whether it is there."""
     if free == JOINT_2_AT_0:
         solution = solve("closed-form", Problem(chain, point, start))
         return solution.q, bool(solution.residual_m < _NEAR_M)
     q = chain.clip(start)
     columns = list(free)
-    by_joint = jacobian(chain, q)[:, columns]
-    if null_rad > 0:
-        q[columns] += null_motion(chain, q, by_joint, free, null_rad)
-        q = chain.clip(q)
     error = point - forward(chain, q)
     for _ in range(_STEPS):
         off = float(np.linalg.norm(error))

@@ -320,7 +320,7 @@ class Movement:
         if self.mode == CONTROL_MODE_TRACK:
             if self._track is None:
                 return holding("no target yet: publish one on `target`")
-            return self._point(body, state, predicted(self._track, effect_ns, step.capture_ns), "the target")
+            return self._point(body, state, predicted(self._track, effect_ns, step.capture_ns), "the target", step.dt_s)
         if self.mode == CONTROL_MODE_FOLLOW:
             return self._beside_sphere(body, state, step, effect_ns)
         return holding("mode hold")
@@ -335,7 +335,7 @@ class Movement:
         centre = predicted(self._sphere, effect_ns, step.capture_ns, _FORESEEN_S)
 
         def reachable(point: Array) -> bool:
-            return carried(chain, self._free, point, state.position, null_rad=0.0)[1]
+            return carried(chain, self._free, point, state.position)[1]
 
         side = side_of(centre.position, shoulder, self._side, reachable)
         if self._side is not None and side != self._side:
@@ -343,11 +343,11 @@ class Movement:
         self._side = side
         point = beside(centre, shoulder, side)
         self._standoff = Target(step.capture_ns, point.position)
-        return self._point(body, state, point, f"the point {DISTANCE_M:g} m from {name}")
+        return self._point(body, state, point, f"the point {DISTANCE_M:g} m from {name}", step.dt_s)
 
-    def _point(self, body: Body, state: State, point: Moving, what: str) -> _Way | Decision:
+    def _point(self, body: Body, state: State, point: Moving, what: str, dt_s: float) -> _Way | Decision:
         chain = body.arm.chain
-        found = self._pointing.aim(chain, Moving(point.position - self._correction.offset, point.velocity))
+        found = self._pointing.aim(chain, Moving(point.position - self._correction.offset, point.velocity), dt_s)
         if found is None:
             return holding("the solver has no answer yet")
         aim, switched = found

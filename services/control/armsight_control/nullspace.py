@@ -12,9 +12,14 @@ from armsight_control.kinematics import jacobian
 
 # Metres per radian: below this a direction of the tip costs more joint speed than it is worth.
 _DAMPING_M = 0.05
-# The weight of singularities beside that of limits: equal where the arm loses a direction by half.
+# The weight of singularities beside that of limits: to lose half of the best manipulability costs as much as a joint
+# half way to its limit.
 _SINGULAR_WEIGHT = 0.3
 _DIFFERENCE_RAD = 1e-5
+# The cost changes by about 1 for a radian: it is followed down within a second or two, never faster than a fifth of
+# the arm's speed, which the target needs.
+_RATE_RAD2_S = 0.5
+_MOST_RAD_S = 0.3
 
 
 def damped_inverse(by_joint: Array, damping_m: float = _DAMPING_M) -> Array:
@@ -45,18 +50,17 @@ def cost(chain: Chain, q: Array, free: tuple[int, ...]) -> float:
     return float(away @ away) / len(free) - _SINGULAR_WEIGHT * float(np.log(manipulability))
 
 
-def null_motion(chain: Chain, q: Array, by_joint: Array, free: tuple[int, ...], most_rad: float) -> Array:
-    """A motion of the joints that lowers the cost and leaves the tip where it is, to first order.
+def null_motion(chain: Chain, q: Array, by_joint: Array, free: tuple[int, ...]) -> Array:
+    """Joint speeds that lower the cost and leave the tip where it is, to first order.
 
     Args:
         chain: the arm.
         q: all joints, radians.
         by_joint: 3 x len(free), of the tip by the free joints.
         free: the joints that may move.
-        most_rad: no joint moves by more.
 
     Returns:
-        One value for each free joint; zeros where the Jacobian leaves nothing over.
+        One value for each free joint, rad/s; zeros where the Jacobian leaves nothing over.
     """
     if len(free) <= by_joint.shape[0]:
         return np.zeros(len(free))
@@ -68,6 +72,6 @@ def null_motion(chain: Chain, q: Array, by_joint: Array, free: tuple[int, ...], 
     _, sigma, right = np.linalg.svd(by_joint)
     rank = int((sigma > 1e-6).sum())
     basis = right[rank:]
-    motion = -basis.T @ (basis @ gradient)
+    motion = -_RATE_RAD2_S * basis.T @ (basis @ gradient)
     largest = float(np.abs(motion).max())
-    return np.asarray(motion * min(1.0, most_rad / largest) if largest > 0 else motion)
+    return np.asarray(motion * min(1.0, _MOST_RAD_S / largest) if largest > 0 else motion)

@@ -63,7 +63,7 @@ class Pointing:
         self._solved = Solved(target, solution)
         self.solution = solution
 
-    def aim(self, chain: Chain, point: Moving) -> tuple[Aim, bool] | None:
+    def aim(self, chain: Chain, point: Moving, dt_s: float) -> tuple[Aim, bool] | None:
         """The configuration for a point, and whether it is on another branch than the last one.
 
         Nothing before the solver has chosen a branch.
@@ -73,12 +73,12 @@ class Pointing:
             return None
         if self._aimed is None:
             self._aimed = solution.q
-            first = aim(chain, self._free, point, self._aimed)
+            first = aim(chain, self._free, point, self._aimed, dt_s)
             self._aimed = first.q
             return first, False
-        found = aim(chain, self._free, point, self._aimed)
+        found = aim(chain, self._free, point, self._aimed, dt_s)
         if not found.reachable:
-            other = aim(chain, self._free, point, solution.q)
+            other = aim(chain, self._free, point, solution.q, dt_s)
             missed = float(np.linalg.norm(found.tip - point.position))
             if missed - float(np.linalg.norm(other.tip - point.position)) > _BETTER_M:
                 found = other
