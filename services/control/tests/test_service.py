@@ -37,7 +37,6 @@ from armsight.topics import (
     TARGET,
 )
 from armsight.v1.control_pb2 import (
-    CONTROL_MODE_FOLLOW,
     CONTROL_MODE_HOLD,
     CONTROL_MODE_JOINTS,
     CONTROL_MODE_TEST_2,
@@ -370,8 +369,8 @@ def test_queries_answer_and_refuse_with_a_text(rig: Rig) -> None:
             rig.bus.query(SOLVE_IK, request)
 
     assert rig.asked(SetModeRequest()) == CONTROL_MODE_HOLD
-    with pytest.raises(RefusedError, match="follow is not built yet"):
-        rig.bus.query(MODE, SetModeRequest(mode=CONTROL_MODE_FOLLOW))
+    with pytest.raises(RefusedError, match="there are hold, joints, test-1, test-2, track, follow"):
+        rig.bus.query(MODE, SetModeRequest.FromString(b"\x08\x63"))
     assert '"solver": "closed-form"' in rig.bus.query(PARAMETERS, PARAMETERS.request(), "control").json
 
 

@@ -72,7 +72,9 @@ class Simulation:
             calibration = description.calibration(model, name, settings.width, settings.height, settings.start_ns)
             bus.publisher(topics.CAMERA_CALIBRATION, name).put(calibration)
             bus.publisher(topics.CAMERA_POSE, name).put(description.camera_pose(model, name, settings.start_ns))
-        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(described, with_bodies=settings.target == "visible"))
+        bus.publisher(topics.DESCRIPTION).put(
+            description.describe_arm(described, with_bodies=settings.target == "visible")
+        )
         block = settings.clock is ClockMode.LOCKSTEP
         self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
         self._frame_ids = [description.optical_frame(name) for name in self._names]
