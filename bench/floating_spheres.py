@@ -6,36 +6,19 @@ averaged out. Frames are measured from files, by the program that people run.
     python bench/floating_spheres.py SEED POSES
 """
 
-# ruff: noqa: E402
-
-from armsight_sim.gl import choose_gl
-
-choose_gl()  # before anything imports MuJoCo
-
 import json
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
-from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from google.protobuf.json_format import Parse
+from pictures import SAMPLES, SIZE, measure, mujoco
 
-from armsight.v1.joints_pb2 import JointPositions
-from armsight_operator.picture import write_snapshot
-from armsight_operator.picture.snapshot import CALIBRATION, CameraSnapshot, Snapshot
-from armsight_operator.stack.executables import find_executable
 from armsight_sim import description
 from armsight_sim.cameras import Cameras
 from armsight_sim.world import World, load_model
 
-SIZE = 800
 FINER = 3
-SAMPLES = 4
 _WHOLE = 0.97
 """Visible share of a marker that no other hides: of the pixels on its outline some are never in its mask."""
 
@@ -78,25 +61,7 @@ def _averaged(fine: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
 
 
 def _errors(world: World, images: dict[str, npt.NDArray[np.uint8]]) -> Iterator[float]:
-    model = world.model
-    snapshot = Snapshot(
-        0,
-        description.describe_arm(model),
-        {
-            name: CameraSnapshot(
-                description.calibration(model, name, SIZE, SIZE, 0),
-                description.camera_pose(model, name, 0),
-                RawImage(width=SIZE, height=SIZE, encoding="rgb8", step=3 * SIZE, data=image.tobytes()),
-            )
-            for name, image in images.items()
-        },
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        files = write_snapshot(snapshot, Path(folder))
-        command = [str(find_executable("vision")), "--calibration", str(Path(folder) / CALIBRATION)]
-        command += [f"--image={name}={path}" for name, path in files.items()]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-    for marker in Parse(done.stdout, JointPositions()).markers:
+    for marker in measure(world.model, images).markers:
         centre = world.data.geom(f"marker_{marker.name}").xpos
         for seen in marker.observations:
             if seen.visible >= _WHOLE:

@@ -72,7 +72,8 @@ Eigen::Vector3d ray(const Camera& camera, double x, double y) {
     const double v = (y - kWireToImage - K(1, 2)) / K(1, 1);
     const double u = (x - kWireToImage - K(0, 2) - K(0, 1) * v) / K(0, 0);
     const Eigen::Vector2d point = undistort(camera, {u, v});
-    return Eigen::Vector3d(point.x(), point.y(), 1.0).normalized();
+    const double scale = 1.0 / std::sqrt(point.squaredNorm() + 1.0);
+    return {scale * point.x(), scale * point.y(), scale};
 }
 
 std::optional<Eigen::Vector2d> project(const Camera& camera, const Eigen::Vector3d& point) {

@@ -114,7 +114,9 @@ std::optional<Cone> polished(std::span<const EdgePoint> points, const Frame& fra
         if (!refit) break;
         score(*refit, points, options.tolerance_px);
         if (refit->inliers < best.inliers) break;
+        const bool is_settled = i > 0 && refit->inliers == best.inliers;  // the same points give the same cone
         best = *refit;
+        if (is_settled) break;
     }
     if (best.inliers < options.min_inliers) return std::nullopt;
     return best;

@@ -23,6 +23,7 @@ constexpr double kMinBrightness = 0.3;
 constexpr double kDarkCoverage = 0.5;
 // The innermost pixel must be covered and the outermost free, or the edge is not between them.
 constexpr double kCoverageTolerance = 0.3;
+constexpr int kSparse = 3;                  // every so many rows and columns tell roughly where a disc is
 constexpr double kMaxCurvatureShift = 0.1;  // pixels; more means that the disc is too small to be measured so
 
 struct Direction {
@@ -55,13 +56,15 @@ class EdgeFinder {
             (free - beyond).cwiseAbs().maxCoeff() > kBackgroundUnevenness * brightest + kNoise) {
             return std::nullopt;
         }
+        const auto unmixing = Unmixing::of(foreground, background);
+        if (!unmixing) return std::nullopt;
         double sum = 0.0;
         for (int k = -1; k <= 2; ++k) {
             const Eigen::Vector3d between = at(k);
-            const auto mix = unmix(between, foreground, background);
-            if (!mix || !is_mix(between, *mix, foreground, background)) return std::nullopt;
-            const double coverage = 1.0 - mix->background;
-            if (coverage > kDarkCoverage && mix->foreground < kMinBrightness * coverage) return std::nullopt;
+            const Mix mix = (*unmixing)(between);
+            if (!is_mix(between, mix, foreground, background)) return std::nullopt;
+            const double coverage = 1.0 - mix.background;
+            if (coverage > kDarkCoverage && mix.foreground < kMinBrightness * coverage) return std::nullopt;
             if (k == -1 && coverage < 1.0 - kCoverageTolerance) return std::nullopt;
             if (k == 2 && coverage > kCoverageTolerance) return std::nullopt;
             sum += coverage;
@@ -116,21 +119,21 @@ struct Box {
     }
 };
 
+// By pixels that come in order.
 void extend(EdgeScratch::Extent& extent, int first, int last) {
-    if (extent.first > extent.last) {
-        extent = {.first = first, .last = last};
-    } else {
-        extent.first = std::min(extent.first, first);
-        extent.last = std::max(extent.last, last);
-    }
+    if (extent.first > extent.last) extent.first = first;
+    extent.last = last;
 }
 
 Box collect(const MarkerMask& mask, const Disc& disc, EdgeScratch& scratch, Outline& outline) {
     Box box;
     outline.area = 0;
     Eigen::Vector2d sum = Eigen::Vector2d::Zero();
-    for (const Component& component : mask.components) {
+    scratch.belongs.assign(mask.components.size(), false);
+    for (std::size_t i = 0; i < mask.components.size(); ++i) {
+        const Component& component = mask.components[i];
         if (!reaches(component, disc)) continue;
+        scratch.belongs[i] = true;
         outline.area += component.area;
         sum += static_cast<double>(component.area) * component.centroid();
         box.add(component);
@@ -143,7 +146,7 @@ Box collect(const MarkerMask& mask, const Disc& disc, EdgeScratch& scratch, Outl
     const auto first = std::ranges::lower_bound(mask.runs, box.y0, {}, &Run::y);
     const auto last = std::ranges::lower_bound(first, mask.runs.end(), box.y1, {}, &Run::y);
     for (const Run& run : std::span(first, last)) {
-        if (!reaches(mask.components[static_cast<std::size_t>(run.component)], disc)) continue;
+        if (!scratch.belongs[static_cast<std::size_t>(run.component)]) continue;
         extend(scratch.rows[static_cast<std::size_t>(run.y - box.y0)], run.x0, run.x1 - 1);
         for (int x = run.x0; x < run.x1; ++x)
             extend(scratch.columns[static_cast<std::size_t>(x - box.x0)], run.y, run.y);
@@ -172,28 +175,28 @@ Disc disc_of(const Camera& camera, const Eigen::Vector3d& position, double radiu
     return {.centre = *centre, .radius = std::asin(radius_m / distance) * pixels_per_radian(camera, axis)};
 }
 
-std::optional<Mix> unmix(const Eigen::Vector3d& pixel, const Eigen::Vector3d& foreground,
-                         const Eigen::Vector3d& background) {
+std::optional<Unmixing> Unmixing::of(const Eigen::Vector3d& foreground, const Eigen::Vector3d& background) {
     const double ff = foreground.squaredNorm();
     const double bb = background.squaredNorm();
     const double fb = foreground.dot(background);
     const double determinant = ff * bb - fb * fb;
     if (!(determinant > 1e-3 * ff * bb)) return std::nullopt;  // colours within 2 degrees of each other
-    const double pf = pixel.dot(foreground);
-    const double pb = pixel.dot(background);
-    return Mix{.foreground = (bb * pf - fb * pb) / determinant, .background = (ff * pb - fb * pf) / determinant};
+    return Unmixing((bb * foreground - fb * background) / determinant, (ff * background - fb * foreground) / determinant);
 }
 
 void find_edges(const ImageView& image, const Camera& camera, const ColorCone& cone, const MarkerMask& mask,
                 const Disc& expected, EdgeScratch& scratch, Outline& outline, Outlined shape) {
     outline.points.clear();
     const Box box = collect(mask, expected, scratch, outline);
+    outline.points.reserve(2 * (scratch.rows.size() + scratch.columns.size()));
     const EdgeFinder finder(image, cone);
+    const bool is_straight = shape == Outlined::Straight;
+    const int step = shape == Outlined::Sparse ? kSparse : 1;
 
     // A row's coverage is the mean over its height; the outline's curvature puts that mean inside of the outline at
     // the middle of the row: x(y0) = mean + R^2 / (24 |dx|^3).
     const auto curvature_shift = [&](double across) {
-        if (shape == Outlined::Straight) return 0.0;
+        if (is_straight) return 0.0;
         const double r2 = expected.radius * expected.radius;
         return std::min(kMaxCurvatureShift, r2 / (24.0 * std::max(1.0, std::abs(across * across * across))));
     };
@@ -209,7 +212,7 @@ void find_edges(const ImageView& image, const Camera& camera, const ColorCone& c
         const double along = steep ? dx * outward.dx : dy * outward.dy;
         const double across = steep ? dy : dx;
         const bool is_own = along > std::abs(across) || (steep && along == std::abs(across));
-        if (shape == Outlined::Round && !is_own) return;
+        if (!is_straight && !is_own) return;
         const auto found = finder.distance(x, y, outward);
         if (!found) return;
         // from the centre of pixel (x, y): its inner neighbour's inner border is 1.5 pixels back
@@ -218,15 +221,15 @@ void find_edges(const ImageView& image, const Camera& camera, const ColorCone& c
     };
     const auto is_wanted = [&](const std::vector<EdgeScratch::Extent>& extents, int i,
                                int EdgeScratch::Extent::* which) {
-        return shape == Outlined::Round || is_even(extents, i, which);
+        return !is_straight || is_even(extents, i, which);
     };
-    for (int y = box.y0; y < box.y1; ++y) {
+    for (int y = box.y0 + step / 2; y < box.y1; y += step) {
         const auto [first, last] = scratch.rows[static_cast<std::size_t>(y - box.y0)];
         if (first > last) continue;
         if (is_wanted(scratch.rows, y - box.y0, &EdgeScratch::Extent::first)) end(first, y, {.dx = -1, .dy = 0});
         if (is_wanted(scratch.rows, y - box.y0, &EdgeScratch::Extent::last)) end(last, y, {.dx = 1, .dy = 0});
     }
-    for (int x = box.x0; x < box.x1; ++x) {
+    for (int x = box.x0 + step / 2; x < box.x1; x += step) {
         const auto [first, last] = scratch.columns[static_cast<std::size_t>(x - box.x0)];
         if (first > last) continue;
         if (is_wanted(scratch.columns, x - box.x0, &EdgeScratch::Extent::first)) end(x, first, {.dx = 0, .dy = -1});

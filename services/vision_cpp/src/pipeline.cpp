@@ -45,6 +45,8 @@ constexpr double kDoubt = 3.0;
 constexpr double kMarginPx = 4.0;
 constexpr double kMinReachPx = 33.0;  // what is narrower than a vector is read pixel by pixel
 constexpr double kMaxShare = 0.3;
+// A disc this near to where the outline was searched: a search there finds the same to a hundredth of that.
+constexpr double kSamePlacePx = 0.5;
 // One view agrees with the last state within this many standard deviations, or the last state is dropped (a reset).
 constexpr double kMaxPriorDistance = 4.0;
 
@@ -92,7 +94,8 @@ using Sightings = PoolVector<Sighting>;
 
 struct Attempt {
     Fix fix;
-    Sightings sightings;
+    Sightings sightings;  ///< of an attempt that is kept
+    std::size_t views;
     std::size_t worst;  ///< view that agrees least
     double agreement;   ///< of that view, 0 to 1
     double surprise;    ///< m from the last state; 0 without one
@@ -102,7 +105,7 @@ struct Attempt {
 
 bool is_better(const Attempt& a, const Attempt& b) {
     if (a.is_agreed() != b.is_agreed()) return a.is_agreed();
-    if (a.sightings.size() != b.sightings.size()) return a.sightings.size() > b.sightings.size();
+    if (a.views != b.views) return a.views > b.views;
     if (a.surprise != b.surprise) return a.surprise < b.surprise;
     return a.fix.inliers > b.fix.inliers;
 }
@@ -150,7 +153,8 @@ struct Pipeline::State {
     void look_for_largest(std::size_t marker);
     void look_for_round(std::size_t marker);
     void look_closely(std::size_t marker);
-    void refine(std::size_t marker, const Eigen::Vector3d& position);
+    void refine(std::size_t marker, const Eigen::Vector3d& position, Outlined shape = Outlined::Round);
+    [[nodiscard]] bool is_where_searched(std::size_t marker, const Eigen::Vector3d& position) const;
     [[nodiscard]] PoolVector<View> views() const;
     [[nodiscard]] PoolVector<Eigen::Vector3d> starts(std::size_t marker, std::int64_t capture_ns) const;
     [[nodiscard]] std::optional<Fix> fit(std::size_t marker, const Eigen::Vector3d& start, std::int64_t capture_ns);
@@ -268,12 +272,12 @@ void Pipeline::State::look_closely(std::size_t marker) {
 }
 
 // Second look: where the sphere is known to be, its parts on both sides of an occluder belong together.
-void Pipeline::State::refine(std::size_t marker, const Eigen::Vector3d& position) {
+void Pipeline::State::refine(std::size_t marker, const Eigen::Vector3d& position, Outlined shape) {
     for (Sighting& sighting : sightings) {
         const CameraFrame& frame = frames[sighting.frame];
         sighting.disc = disc_of(*frame.camera, position, markers[marker].radius);
         find_edges(frame.image, *frame.camera, cone(marker), mask(sighting.frame, marker), sighting.disc, scratch,
-                   sighting.outline);
+                   sighting.outline, shape);
         sighting.cone.reset();
         sighting.has_outline = sighting.outline.points.size() >= static_cast<std::size_t>(kMinInliersTracked) / 2;
         sighting.centre = ray(*frame.camera, sighting.outline.centroid.x(), sighting.outline.centroid.y());
@@ -379,7 +383,8 @@ std::optional<Attempt> Pipeline::State::settle(std::size_t marker, const Eigen::
     if (!fix) return std::nullopt;
     const auto prior = tracks[marker].predict(capture_ns);
     Attempt result{.fix = *fix,
-                   .sightings = sightings,
+                   .sightings = {},
+                   .views = sightings.size(),
                    .worst = 0,
                    .agreement = 1.0,
                    .surprise = prior ? (fix->position - prior->position).norm() : 0.0};
@@ -395,18 +400,39 @@ std::optional<Attempt> Pipeline::State::settle(std::size_t marker, const Eigen::
     return result;
 }
 
-// The usual case, and the quick one: where the middles of all patches meet, the sphere's outline is seen in all views.
+// Where the last refine() searched, as far as the outline depends on it.
+bool Pipeline::State::is_where_searched(std::size_t marker, const Eigen::Vector3d& position) const {
+    return std::ranges::all_of(sightings, [&](const Sighting& s) {
+        const Disc disc = disc_of(*frames[s.frame].camera, position, markers[marker].radius);
+        return (disc.centre - s.disc.centre).norm() < kSamePlacePx &&
+               std::abs(disc.radius - s.disc.radius) < kSamePlacePx;
+    });
+}
+
+// The usual case, and the quick one: where the marker is expected, or where the middles of all patches meet, the
+// sphere's outline is seen in all views.
 std::optional<Attempt> Pipeline::State::at_once(std::size_t marker, std::int64_t capture_ns) {
     const std::size_t views_seen = sightings.size();
-    PoolVector<Ray> rays;
-    rays.reserve(views_seen);
-    for (const Sighting& s : sightings) rays.push_back(world_ray(*frames[s.frame].camera, s.centre));
-    const auto middle = triangulate(rays);
-    if (!middle) return std::nullopt;
-    auto rough = settle(marker, *middle, capture_ns);
-    if (!rough || sightings.size() < views_seen) return std::nullopt;
-    auto result = settle(marker, rough->fix.position, capture_ns);
-    if (!result || result->agreement < kSureAgreement || sightings.size() < views_seen) return std::nullopt;
+    if (views_seen < 2) return std::nullopt;
+    std::optional<Eigen::Vector3d> start;
+    if (is_partial) {
+        start = tracks[marker].predict(capture_ns)->position;
+    } else {
+        PoolVector<Ray> rays;
+        rays.reserve(views_seen);
+        for (const Sighting& s : sightings) rays.push_back(world_ray(*frames[s.frame].camera, s.centre));
+        start = triangulate(rays);
+        if (!start) return std::nullopt;
+        refine(marker, *start, Outlined::Sparse);
+        if (sightings.size() < views_seen) return std::nullopt;
+        start = rough_sphere(views(), markers[marker].radius, *start);
+        if (!start) return std::nullopt;
+    }
+    auto result = settle(marker, *start, capture_ns);
+    if (result && result->views == views_seen && !is_where_searched(marker, result->fix.position)) {
+        result = settle(marker, result->fix.position, capture_ns);
+    }
+    if (!result || result->agreement < kSureAgreement || result->views < views_seen) return std::nullopt;
     return result;
 }
 
@@ -423,8 +449,11 @@ std::optional<Attempt> Pipeline::State::best_of(std::size_t marker, const Sighti
             const auto rough = fit(marker, start, capture_ns);
             if (!rough) continue;
             auto next = settle(marker, rough->position, capture_ns);
-            if (next && (!best || is_better(*next, *best))) best = std::move(next);
-            if (best && best->is_agreed() && best->sightings.size() == seen.size()) return best;
+            if (next && (!best || is_better(*next, *best))) {
+                best = std::move(next);
+                best->sightings = sightings;
+            }
+            if (best && best->is_agreed() && best->views == seen.size()) return best;
         }
     }
     return best;

@@ -60,11 +60,12 @@ TEST(Edges, EdgesSharedWithALinkAreLeftOut) {
 TEST(Edges, UnmixingTellsShares) {
     const Eigen::Vector3d red(200.0, 10.0, 10.0);
     const Eigen::Vector3d grey(180.0, 180.0, 180.0);
-    const auto mix = unmix(0.3 * red + 0.7 * grey, red, grey);
-    ASSERT_TRUE(mix);
-    EXPECT_NEAR(mix->foreground, 0.3, 1e-12);
-    EXPECT_NEAR(mix->background, 0.7, 1e-12);
-    EXPECT_FALSE(unmix(grey, grey, 0.5 * grey)) << "two greys can't be told apart";
+    const auto unmixing = Unmixing::of(red, grey);
+    ASSERT_TRUE(unmixing);
+    const Mix mix = (*unmixing)(0.3 * red + 0.7 * grey);
+    EXPECT_NEAR(mix.foreground, 0.3, 1e-12);
+    EXPECT_NEAR(mix.background, 0.7, 1e-12);
+    EXPECT_FALSE(Unmixing::of(grey, 0.5 * grey)) << "two greys can't be told apart";
 }
 
 TEST(Edges, MarkersAtTheBorderOfTheImageDoNotReadBeyondIt) {
