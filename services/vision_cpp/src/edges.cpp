@@ -181,7 +181,8 @@ std::optional<Unmixing> Unmixing::of(const Eigen::Vector3d& foreground, const Ei
     const double fb = foreground.dot(background);
     const double determinant = ff * bb - fb * fb;
     if (!(determinant > 1e-3 * ff * bb)) return std::nullopt;  // colours within 2 degrees of each other
-    return Unmixing((bb * foreground - fb * background) / determinant, (ff * background - fb * foreground) / determinant);
+    return Unmixing((bb * foreground - fb * background) / determinant,
+                    (ff * background - fb * foreground) / determinant);
 }
 
 void find_edges(const ImageView& image, const Camera& camera, const ColorCone& cone, const MarkerMask& mask,
@@ -220,9 +221,7 @@ void find_edges(const ImageView& image, const Camera& camera, const ColorCone& c
         add(x + 0.5 + offset * outward.dx, y + 0.5 + offset * outward.dy);
     };
     const auto is_wanted = [&](const std::vector<EdgeScratch::Extent>& extents, int i,
-                               int EdgeScratch::Extent::* which) {
-        return !is_straight || is_even(extents, i, which);
-    };
+                               int EdgeScratch::Extent::* which) { return !is_straight || is_even(extents, i, which); };
     for (int y = box.y0 + step / 2; y < box.y1; y += step) {
         const auto [first, last] = scratch.rows[static_cast<std::size_t>(y - box.y0)];
         if (first > last) continue;

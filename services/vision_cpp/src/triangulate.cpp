@@ -15,7 +15,7 @@ constexpr int kSteps = 15;
 // Metres. Each step is a tenth of the one before: what is left is a hundredth of what pixels can tell.
 constexpr double kStepTolerance = 1e-5;
 constexpr double kRoughStepTolerance = 3e-3;  // a quarter of a pixel in a picture of the whole arm
-constexpr double kTukey = 4.685;         // 95 % efficient for normal errors
+constexpr double kTukey = 4.685;              // 95 % efficient for normal errors
 // Spread of edge points that no fit goes below: quantisation to 8 bits, 16 sub-pixel positions at 4 samples.
 constexpr double kMinSigmaPx = 0.05;
 constexpr double kStartSigmaPx = 0.5;  // before the spread is known
