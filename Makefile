@@ -13,6 +13,7 @@ UV := $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python
 TORCH ?=
 # Named after this folder: virtual environments and build trees do not survive being moved.
 INSTALLED := $(VENV)/.installed-in$(subst /,-,$(CURDIR))
+SOLVERS := services/control/armsight_control/solvers
 PYTEST_ARGS ?=
 
 .PHONY: help setup run test test-long lint format bench bench-vision bench-accuracy bench-ik bench-loop lock clean vision system
@@ -20,7 +21,7 @@ PYTEST_ARGS ?=
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
-setup: system $(INSTALLED) vision  ## install what is missing, build everything
+setup: system $(INSTALLED) $(SOLVERS)/compiled/.made vision  ## install what is missing, build everything
 
 system:
 	@tools/check-toolchain.sh
@@ -36,6 +37,12 @@ $(INSTALLED): requirements.txt $(PYTHON_PACKAGES:=/pyproject.toml) $(wildcard pr
 	@echo "installing Python packages into $(VENV)"
 	$(UV) $(if $(TORCH),--torch-backend $(TORCH)) -r requirements.txt
 	$(UV) --no-deps --no-build-isolation --reinstall $(addprefix -e ,$(PYTHON_PACKAGES))
+	@touch $@
+
+# Nobody who solves then waits for a compiler.
+$(SOLVERS)/compiled/.made: $(INSTALLED) $(addprefix $(SOLVERS)/,blocks.py compile.py packages.py ../torch_kinematics.py)
+	@echo "compiling the solvers (some two minutes, the first time)"
+	@$(BIN)/python -m armsight_control.solvers.compile
 	@touch $@
 
 vision: $(INSTALLED)
@@ -77,4 +84,4 @@ lock: $(BIN)/uv  ## pin the Python dependencies anew
 	rm .lock.in
 
 clean:  ## remove what setup and the tests made
-	rm -rf $(VENV) build armsight-out
+	rm -rf $(VENV) build armsight-out $(SOLVERS)/compiled

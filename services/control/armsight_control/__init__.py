@@ -9,7 +9,7 @@
 from armsight_control.chain import Chain, Point
 from armsight_control.description import Arm, arm_of
 from armsight_control.errors import ControlError
-from armsight_control.estimators import ESTIMATORS, Estimate, Estimator
+from armsight_control.estimators import ESTIMATORS, AllJoints, Estimate, Estimator, Outcome, Track
 from armsight_control.kinematics import (
     Links,
     denavit_hartenberg,
@@ -20,11 +20,24 @@ from armsight_control.kinematics import (
     report_forward,
     report_jacobian,
 )
-from armsight_control.solvers import SOLVERS, Options, Problem, Solution, Status, solve
+from armsight_control.positions import Positions, SeenMarker, positions_of
+from armsight_control.solvers import (
+    REPORT_FREE,
+    SOLVERS,
+    Options,
+    Problem,
+    Solution,
+    Solutions,
+    Status,
+    solve,
+    solve_batch,
+)
 
 __all__ = [
     "ESTIMATORS",
+    "REPORT_FREE",
     "SOLVERS",
+    "AllJoints",
     "Arm",
     "Chain",
     "ControlError",
@@ -32,17 +45,24 @@ __all__ = [
     "Estimator",
     "Links",
     "Options",
+    "Outcome",
     "Point",
+    "Positions",
     "Problem",
+    "SeenMarker",
     "Solution",
+    "Solutions",
     "Status",
+    "Track",
     "arm_of",
     "denavit_hartenberg",
     "directions",
     "forward",
     "jacobian",
     "links_of",
+    "positions_of",
     "report_forward",
     "report_jacobian",
     "solve",
+    "solve_batch",
 ]

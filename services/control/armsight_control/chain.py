@@ -18,9 +18,9 @@ class Point:
     """In that joint's frame, metres."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """Joints in order from the base; lengths in metres, angles in radians.
+    """Joints in order from the base; lengths in metres, angles in radians. Equal where all values are: it can be a key.
 
     Frames: ``base`` is the first joint's frame at angle 0; the frame of joint i turns with its child body.
     """
@@ -36,6 +36,16 @@ class Chain:
     """n, rad/s."""
     tip: Point
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Chain) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash(self._values())
+
+    def _values(self) -> tuple[object, ...]:
+        arrays = (self.origins, self.axes, self.limits, self.max_speed, self.tip.position)
+        return self.names, self.tip.joint, *(array.tobytes() for array in arrays)
+
     @property
     def count(self) -> int:
         """Number of joints."""
@@ -43,4 +53,5 @@ class Chain:
 
     def clip(self, q: Array) -> Array:
         """The nearest configuration within the limits."""
-        return np.clip(q, self.limits[:, 0], self.limits[:, 1])
+        # what np.clip does, without its checks: half the time for one configuration
+        return np.minimum(np.maximum(q, self.limits[:, 0]), self.limits[:, 1])

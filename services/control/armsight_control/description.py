@@ -26,8 +26,8 @@ class Arm:
     p_world_base: Array
 
     def world_to_base(self, point_world: Array) -> Array:
-        """A point of the world frame in the base frame."""
-        return self.R_world_base.T @ (point_world - self.p_world_base)
+        """Points of the world frame, (..., 3), in the base frame."""
+        return np.asarray((point_world - self.p_world_base) @ self.R_world_base)
 
 
 def arm_of(message: ArmDescription) -> Arm:

@@ -33,9 +33,10 @@ def frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     Raises:
         JointCountError: the last dimension is not the number of joints.
     """
-    q = np.asarray(q, dtype=np.float64)
-    if q.shape[-1:] != (chain.count,):
-        raise JointCountError(f"{q.shape[-1] if q.ndim else 0} angles for an arm of {chain.count} joints")
+    q = _checked(chain, q)
+    if q.ndim == 1:
+        listed = _frames_of_one(chain, q)
+        return np.array([r for r, _ in listed]).reshape(-1, 3, 3), np.array([o for _, o in listed])
     batch = q.shape[:-1]
     rotations = np.empty((*batch, chain.count + 1, 3, 3))
     origins = np.empty((*batch, chain.count + 1, 3))
@@ -48,6 +49,9 @@ def frames(chain: Chain, q: Array) -> tuple[Array, Array]:
 
 def position(chain: Chain, q: Array, point: Point) -> Array:
     """A point of the arm in the base frame, in metres; arguments as :func:`frames`."""
+    q = _checked(chain, q)
+    if q.ndim == 1:
+        return np.array(_carried(_frames_of_one(chain, q)[point.joint + 1], point))
     rotations, origins = frames(chain, q)
     return np.asarray(origins[..., point.joint + 1, :] + rotations[..., point.joint + 1, :, :] @ point.position)
 
@@ -58,6 +62,9 @@ def jacobian(chain: Chain, q: Array, point: Point | None = None) -> Array:
     Column i is :math:`z_i \times (p - o_i)` for the joints that carry the point, zero for those after it.
     """
     point = chain.tip if point is None else point
+    q = _checked(chain, q)
+    if q.ndim == 1:
+        return _jacobian_of_one(chain, q, point)
     rotations, origins = frames(chain, q)
     p = origins[..., point.joint + 1, :] + rotations[..., point.joint + 1, :, :] @ point.position
     columns = np.zeros((*p.shape, chain.count))
@@ -71,6 +78,56 @@ def jacobian(chain: Chain, q: Array, point: Point | None = None) -> Array:
 def forward(chain: Chain, q: Array) -> Array:
     """The tip in the base frame, in metres: for this arm the report's section 4.1 with all four joints free."""
     return position(chain, q, chain.tip)
+
+
+# One configuration in plain floats: numpy's calls on arrays of three cost ten times what they compute.
+_Frame = tuple[tuple[float, ...], tuple[float, float, float]]
+_BASE: _Frame = ((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+
+
+def _checked(chain: Chain, q: Array) -> Array:
+    q = np.asarray(q, dtype=np.float64)
+    if q.shape[-1:] != (chain.count,):
+        raise JointCountError(f"{q.shape[-1] if q.ndim else 0} angles for an arm of {chain.count} joints")
+    return q
+
+
+def _frames_of_one(chain: Chain, q: Array) -> list[_Frame]:
+    """Rotation, row by row, and origin of the base and of every joint's frame."""
+    found = [_BASE]
+    (a, b, c, d, e, f, g, h, i), (u, v, w) = _BASE
+    joints = zip(chain.origins.tolist(), chain.axes.tolist(), q.tolist(), strict=True)
+    for (x, y, z), (k, l, m), angle in joints:  # noqa: E741  (k, l, m) is the axis
+        u, v, w = u + a * x + b * y + c * z, v + d * x + e * y + f * z, w + g * x + h * y + i * z
+        sine, cosine = math.sin(angle), math.cos(angle)
+        t = 1.0 - cosine
+        kt, lt, mt, ks, ls, ms = k * t, l * t, m * t, k * sine, l * sine, m * sine
+        r, s, n = kt * k + cosine, kt * l - ms, kt * m + ls
+        o, p, j = lt * k + ms, lt * l + cosine, lt * m - ks
+        x, y, z = mt * k - ls, mt * l + ks, mt * m + cosine
+        a, b, c = a * r + b * o + c * x, a * s + b * p + c * y, a * n + b * j + c * z
+        d, e, f = d * r + e * o + f * x, d * s + e * p + f * y, d * n + e * j + f * z
+        g, h, i = g * r + h * o + i * x, g * s + h * p + i * y, g * n + h * j + i * z
+        found.append(((a, b, c, d, e, f, g, h, i), (u, v, w)))
+    return found
+
+
+def _carried(frame: _Frame, point: Point) -> tuple[float, float, float]:
+    (a, b, c, d, e, f, g, h, i), (u, v, w) = frame
+    x, y, z = point.position.tolist()
+    return u + a * x + b * y + c * z, v + d * x + e * y + f * z, w + g * x + h * y + i * z
+
+
+def _jacobian_of_one(chain: Chain, q: Array, point: Point) -> Array:
+    found = _frames_of_one(chain, q)
+    x, y, z = _carried(found[point.joint + 1], point)
+    columns = [(0.0, 0.0, 0.0)] * chain.count
+    for n, (k, l, m) in enumerate(chain.axes[: point.joint + 1].tolist()):  # noqa: E741
+        (a, b, c, d, e, f, g, h, i), (u, v, w) = found[n + 1]
+        k, l, m = a * k + b * l + c * m, d * k + e * l + f * m, g * k + h * l + i * m  # noqa: E741
+        u, v, w = x - u, y - v, z - w
+        columns[n] = (l * w - m * v, m * u - k * w, k * v - l * u)
+    return np.array(columns).T
 
 
 def _turn(axis: Array, angle: Array) -> Array:

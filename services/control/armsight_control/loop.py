@@ -18,6 +18,7 @@ from armsight.v1.control_pb2 import (
     CONTROL_MODE_JOINTS,
     CONTROL_MODE_TEST_1,
     CONTROL_MODE_TEST_2,
+    CONTROL_MODE_TEST_ALL,
     CONTROL_MODE_TRACK,
     CONTROL_STATE_BLIND,
     CONTROL_STATE_HOLDING,
@@ -37,20 +38,17 @@ from armsight_control import safety
 from armsight_control.chain import Array
 from armsight_control.description import Arm, arm_of
 from armsight_control.errors import ControlError, PositionsError, SetpointError, SolverError
-from armsight_control.estimators import Estimate, choose, part1, part2
+from armsight_control.estimators import Estimate, Observer, all_joints, check_estimator, part1, part2
 from armsight_control.kinematics import forward, links_of
 from armsight_control.modes import Mode
 from armsight_control.positions import (
-    Directions,
     DistanceBounds,
-    LastLinks,
     capture_of,
-    directions_of,
     last_links_of,
     positions_of,
 )
 from armsight_control.setpoints import Setpoints, setpoint_of
-from armsight_control.solvers.problem import Options, Problem, Solution, Status
+from armsight_control.solvers import REPORT_FREE, Options, Problem, Solution, Status
 from armsight_control.solvers.start import perturbed
 from armsight_control.tracking import Target, target_of
 from armsight_control.trajectory import (
@@ -59,6 +57,7 @@ from armsight_control.trajectory import (
     MotionLimits,
     OnPath,
     Step,
+    all_motion,
     along,
     part1_motion,
     part2_motion,
@@ -69,12 +68,10 @@ from armsight_control.trajectory import (
 VALID_FOR_S = 0.1
 # Since an answer that is not known: sim's 30 frames a second.
 _PERIOD_S = 1 / 30
-# An estimate this far from the setpoint in force is on a wrong branch, not late.
-_WRONG_BRANCH_RAD = 1.0
 # Descents that go on from one another for one target that does not move, before it is left at that.
 _MOST_DESCENTS = 60
 
-_PATHS = {CONTROL_MODE_TEST_1: part1_motion, CONTROL_MODE_TEST_2: part2_motion}
+_PATHS = {CONTROL_MODE_TEST_1: part1_motion, CONTROL_MODE_TEST_2: part2_motion, CONTROL_MODE_TEST_ALL: all_motion}
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +91,7 @@ class _Body:
     """The arm and what is derived from it once."""
 
     arm: Arm
-    last_links: LastLinks
+    observer: Observer
     bounds: DistanceBounds
 
 
@@ -119,8 +116,16 @@ class Solved:
 class Loop:
     """State of the control loop; called by one thread at a time."""
 
-    def __init__(self, limits: MotionLimits, options: Options, seed: int, counters: Counters) -> None:
+    def __init__(
+        self,
+        limits: MotionLimits,
+        options: Options,
+        seed: int,
+        counters: Counters,
+        estimator: str = all_joints.NAME,
+    ) -> None:
         """Knows neither arm nor setpoint yet, and holds."""
+        self._estimator = check_estimator(estimator)
         self._limits = limits
         self._options = options
         self._rng = np.random.default_rng(seed)
@@ -134,7 +139,6 @@ class Loop:
         self._mode = Mode(CONTROL_MODE_HOLD)
         self._motion = Motion()
         self._path = OnPath(0.0)
-        self._previous: tuple[str, Array] | None = None
         self._estimate: Estimate | None = None
         self._target_message: Point3InFrame | None = None
         self._target: Target | None = None
@@ -184,7 +188,8 @@ class Loop:
         self._rest()
         try:
             links_of(arm.chain)
-            self._body = _Body(arm, last_links_of(arm), DistanceBounds(arm))
+            observer = Observer(self._estimator, arm, last_links_of(arm), self._counters)
+            self._body = _Body(arm, observer, DistanceBounds(arm))
         except ControlError as error:
             self._counters.add("description_unsupported")
             self._unusable = f"this arm can't be controlled: {error}"
@@ -257,7 +262,7 @@ class Loop:
         if solved is None or not solved.solution.converged:
             # straight poses are saddles of the error: a descent that starts on one exactly stays there
             start = perturbed(chain, start, self._rng)
-        return self._target, Problem(chain, self._target.position, start, self._options)
+        return self._target, Problem(chain, self._target.position, start, REPORT_FREE, self._options)
 
     def solved(self, target: Target, solution: Solution) -> None:
         """Takes a solution for a target."""
@@ -307,35 +312,23 @@ class Loop:
             detail = "no accepted setpoint yet: start sim, or reset it to a known pose"
             return _Decision(CONTROL_STATE_WAITING, detail, reason="no_setpoint")
         try:
-            directions = self._look(message, body, setpoint, age_s)
+            estimate = self._look(message, body, setpoint, age_s)
         except PositionsError as error:
             return _Decision(CONTROL_STATE_BLIND, str(error), reason=error.reason)
-        self._estimate = self._estimated(directions, setpoint)
+        self._estimate = estimate
         stopped = safety.stopped_by(self._stop)
         if stopped is not None:
             return _Decision(CONTROL_STATE_STOPPED, stopped.detail, reason=stopped.reason)
         since_s = _PERIOD_S if self._last is None else (capture_ns - self._last.capture_ns) / NS_PER_S
         return self._move(body, setpoint, Step(capture_ns, min(since_s, VALID_FOR_S)))
 
-    def _look(self, message: JointPositions, body: _Body, setpoint: Array, age_s: float) -> Directions:
+    def _look(self, message: JointPositions, body: _Body, setpoint: Array, age_s: float) -> Estimate:
         positions = positions_of(message, body.arm)
         safety.check_age(age_s)
         body.bounds.check(positions)
-        directions = directions_of(positions, body.last_links)
-        safety.check_astray(body.arm.chain, setpoint, directions, self._limits.speed_share)
-        return directions
-
-    def _estimated(self, directions: Directions, setpoint: Array) -> Estimate:
         preferred = part1.NAME if self.mode == CONTROL_MODE_TEST_1 else part2.NAME
-        estimator = choose(setpoint, preferred)
-        if self._previous is None or self._previous[0] != estimator.name:
-            self._previous = (estimator.name, setpoint)
-        angles, estimate = estimator.step(self._previous[1], directions.r3, directions.r4)
-        off = np.abs(estimate.angles - setpoint) > _WRONG_BRANCH_RAD
-        if (off & np.array(estimate.observable)).any():
-            self._counters.add("estimator_restarted")
-            angles, estimate = estimator.step(setpoint, directions.r3, directions.r4)
-        self._previous = (estimator.name, angles if any(estimate.observable) else setpoint)
+        estimate, tip = body.observer.look(positions, setpoint, preferred)
+        safety.check_astray(body.arm.chain, setpoint, tip, self._limits.speed_share)
         return estimate
 
     def _move(self, body: _Body, setpoint: Array, step: Step) -> _Decision:
@@ -404,6 +397,11 @@ class Loop:
         for name, angle, observable in zip(names, estimate.angles, estimate.observable, strict=True):
             status.joints.append(JointEstimate(name=name, position_rad=angle, observable=observable and seen_now))
             estimated.joints.append(JointState(name=name, position=angle))
+        if estimate.sigma is not None and estimate.velocity is not None:
+            for joint, state, sigma, velocity in zip(
+                status.joints, estimated.joints, estimate.sigma, estimate.velocity, strict=True
+            ):
+                joint.sigma_rad, joint.velocity_rad_s, state.velocity = sigma, velocity, velocity
         if self._body is not None:
             status.tip.CopyFrom(_vector(forward(self._body.arm.chain, estimate.angles)))
 
@@ -413,7 +411,7 @@ class Loop:
         status.target.CopyFrom(_vector(self._target.position))
         if self._solved is not None:
             status.reached.CopyFrom(_vector(self._solved.solution.tip))
-            status.target_reachable = self._solved.solution.status != Status.OUT_OF_REACH
+            status.target_reachable = self._solved.solution.status != Status.UNREACHABLE
 
 
 def _vector(values: Array) -> Vector3:

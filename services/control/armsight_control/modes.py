@@ -10,6 +10,7 @@ from armsight.v1.control_pb2 import (
     CONTROL_MODE_JOINTS,
     CONTROL_MODE_TEST_1,
     CONTROL_MODE_TEST_2,
+    CONTROL_MODE_TEST_ALL,
     CONTROL_MODE_TRACK,
     ControlMode,
     SetModeRequest,
@@ -24,6 +25,7 @@ NAMES: dict[str, ControlMode] = {
     "joints": CONTROL_MODE_JOINTS,
     "test-1": CONTROL_MODE_TEST_1,
     "test-2": CONTROL_MODE_TEST_2,
+    "test-all": CONTROL_MODE_TEST_ALL,
     "track": CONTROL_MODE_TRACK,
 }
 

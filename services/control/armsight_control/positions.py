@@ -38,7 +38,7 @@ _FLOOR_M = 1e-3
 _DISTANCE_SLACK_M = 0.25
 _DISTANCE_SIGMAS = 4.0
 # The tip must be known this well (one standard deviation) for the arm to be moved by sight.
-_TIP_SIGMA_MAX_M = 0.5
+TIP_SIGMA_MAX_M = 0.5
 _FIT_STEPS = 3
 
 _USABLE = (MARKER_STATUS_TRACKED, MARKER_STATUS_PARTLY_OCCLUDED, MARKER_STATUS_ONE_VIEW)
@@ -103,19 +103,21 @@ def positions_of(message: JointPositions, arm: Arm) -> Positions:
     Raises:
         PositionsError: a value that no measurement can have.
     """
-    seen: dict[str, SeenMarker] = {}
+    used: dict[str, MarkerPosition] = {}
     for marker in message.markers:
         if marker.name not in arm.markers or marker.status == MARKER_STATUS_LOST:
             continue
         if marker.status not in _USABLE:
             raise PositionsError("status", f"marker {marker.name} has no status: expected tracked, occluded or lost")
-        if marker.name in seen:
+        if marker.name in used:
             raise PositionsError("twice", f"marker {marker.name} is there twice")
-        seen[marker.name] = SeenMarker(
-            position=arm.world_to_base(_finite_position(marker)),
-            covariance=arm.R_world_base.T @ _covariance(marker) @ arm.R_world_base,
-            one_view=marker.status == MARKER_STATUS_ONE_VIEW,
-        )
+        used[marker.name] = marker
+    places = arm.world_to_base(_finite_positions(used))
+    covariances = arm.R_world_base.T @ _covariances(used) @ arm.R_world_base
+    seen = {
+        name: SeenMarker(place, covariance, marker.status == MARKER_STATUS_ONE_VIEW)
+        for (name, marker), place, covariance in zip(used.items(), places, covariances, strict=True)
+    }
     return Positions(capture_of(message), seen)
 
 
@@ -175,7 +177,7 @@ def directions_of(positions: Positions, links: LastLinks) -> Directions:
     tip_by_step = np.hstack([tangent3 * links.length3, tangent4 * links.length4])
     tip_covariance = tip_by_step @ np.linalg.solve(information, tip_by_step.T)
     tip_sigma = float(np.sqrt(np.linalg.eigvalsh(tip_covariance)[-1]))
-    if tip_sigma > _TIP_SIGMA_MAX_M:
+    if tip_sigma > TIP_SIGMA_MAX_M:
         raise PositionsError("vague", f"the tip is known to ±{tip_sigma:.2f} m only: another camera must see the arm")
     joint4 = links.shoulder + links.length3 * r3
     return Directions(r3, r4, joint4, joint4 + links.length4 * r4, tip_sigma)
@@ -231,24 +233,34 @@ def _fixed_origins(chain: Chain) -> dict[int, Array]:
     return {i: origins[0, i + 1] for i in range(chain.count) if moved[i + 1] < _FLOOR_M * _FLOOR_M}
 
 
-def _finite_position(marker: MarkerPosition) -> Array:
-    place = np.array([marker.position.x, marker.position.y, marker.position.z])
-    if not marker.HasField("position") or not (np.abs(place) < _MAX_POSITION_M).all():
-        raise PositionsError("position", f"marker {marker.name} has no finite position within {_MAX_POSITION_M:g} m")
-    return place
+def _finite_positions(markers: Mapping[str, MarkerPosition]) -> Array:
+    """All of them at once, (markers, 3): numpy's calls cost more than what they compute here."""
+    places = np.array([(m.position.x, m.position.y, m.position.z) for m in markers.values()]).reshape(-1, 3)
+    good = (np.abs(places) < _MAX_POSITION_M).all(axis=1)
+    for (name, marker), finite in zip(markers.items(), good, strict=True):
+        if not finite or not marker.HasField("position"):
+            raise PositionsError("position", f"marker {name} has no finite position within {_MAX_POSITION_M:g} m")
+    return places
 
 
-def _covariance(marker: MarkerPosition) -> Array:
-    values = np.array(marker.covariance)
-    if values.shape != (9,) or not (np.abs(values) < _MAX_POSITION_M**2).all():
-        raise PositionsError("covariance", f"marker {marker.name} has no finite 3x3 covariance")
-    matrix = values.reshape(3, 3)
-    scale = float(np.abs(matrix).max())
-    if np.abs(matrix - matrix.T).max() > 1e-6 * scale or np.linalg.eigvalsh(matrix)[0] < -1e-6 * scale:
-        raise PositionsError("covariance", f"marker {marker.name} has a covariance that is not symmetric and positive")
-    symmetric: Array = (matrix + matrix.T) / 2
+def _covariances(markers: Mapping[str, MarkerPosition]) -> Array:
+    """All of them at once, (markers, 3, 3)."""
+    for name, marker in markers.items():
+        if len(marker.covariance) != 9:
+            raise PositionsError("covariance", f"marker {name} has no finite 3x3 covariance")
+    matrices = np.array([marker.covariance for marker in markers.values()]).reshape(-1, 3, 3)
+    sizes = np.abs(matrices).max(axis=(1, 2))
+    for name, finite in zip(markers, sizes < _MAX_POSITION_M**2, strict=True):
+        if not finite:
+            raise PositionsError("covariance", f"marker {name} has no finite 3x3 covariance")
+    mirrored = matrices.transpose(0, 2, 1)
+    uneven = np.abs(matrices - mirrored).max(axis=(1, 2)) > 1e-6 * sizes
+    bad = uneven | (np.linalg.eigvalsh(matrices)[:, 0] < -1e-6 * sizes)
+    for name, wrong in zip(markers, bad, strict=True):
+        if wrong:
+            raise PositionsError("covariance", f"marker {name} has a covariance that is not symmetric and positive")
     # rounding may leave it a little below zero: the fit must be able to factorise it
-    return symmetric + np.eye(3) * 1e-6 * scale
+    return np.asarray((matrices + mirrored) / 2 + np.eye(3) * (1e-6 * sizes)[:, None, None])
 
 
 def _unit(vector: Array) -> Array:

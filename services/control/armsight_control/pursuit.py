@@ -12,6 +12,7 @@ from armsight.v1.control_pb2 import CONTROL_MODE_TRACK
 from armsight.v1.joints_pb2 import JointPositions
 from armsight_control.errors import ControlError
 from armsight_control.loop import Loop
+from armsight_control.solvers import Solution
 from armsight_control.solvers.process import Solvers, Timed
 from armsight_control.tracking import Target
 
@@ -32,7 +33,7 @@ class Pursuit:
         self._loop = loop
         self._lock = lock
         self._solver = solver
-        self._job: tuple[Target, Future[Timed]] | None = None
+        self._job: tuple[Target, Future[Timed[Solution]]] | None = None
         self._seconds: deque[float] = deque(maxlen=100)
         self._previous_capture_ns = 0
 

@@ -1,16 +1,19 @@
 """The queryables of control: `control/mode`, `control/forward_kinematics`, `control/solve_ik`."""
 
 import threading
+from collections.abc import Sequence
+from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 
 import numpy as np
 
 from armsight.v1.control_pb2 import (
     IK_STATUS_CONVERGED,
-    IK_STATUS_OUT_OF_REACH,
     IK_STATUS_STEP_LIMIT,
+    IK_STATUS_UNREACHABLE,
     ForwardKinematicsRequest,
     ForwardKinematicsResponse,
+    IkSolution,
     IkStatus,
     SetModeRequest,
     SetModeResponse,
@@ -25,18 +28,22 @@ from armsight_control.kinematics import forward, jacobian
 from armsight_control.loop import Loop
 from armsight_control.modes import configuration_of, mode_of
 from armsight_control.settings import Settings
-from armsight_control.solvers import Problem, Status
-from armsight_control.solvers.process import Solvers
+from armsight_control.solvers import REPORT_FREE, Problem, Solution, Status, check_solver
+from armsight_control.solvers.process import S, Solvers, Timed
 from armsight_control.solvers.start import start, with_joint2_at_0
 from armsight_control.tracking import finite_target
 
 # Less than the 5 s that callers wait by default: they get our reason instead of silence.
 _PATIENCE_S = 4.0
+# In one request: what every batched solver does in a fraction of that time, even uncompiled.
+_MOST_TARGETS = 1000
+# The report's descent goes one by one, and takes up to 0.2 s for each.
+_MOST_TARGETS_ONE_BY_ONE = 16
 
 _STATUS: dict[Status, IkStatus] = {
     Status.CONVERGED: IK_STATUS_CONVERGED,
     Status.STEP_LIMIT: IK_STATUS_STEP_LIMIT,
-    Status.OUT_OF_REACH: IK_STATUS_OUT_OF_REACH,
+    Status.UNREACHABLE: IK_STATUS_UNREACHABLE,
 }
 
 
@@ -67,42 +74,99 @@ class Queries:
         return ForwardKinematicsResponse(tip=_vector(forward(chain, q)), jacobian=jacobian(chain, q).ravel().tolist())
 
     def solve_ik(self, request: SolveIkRequest) -> SolveIkResponse:
-        """Solves for one target."""
+        """Solves for one target, or for many."""
         chain = self._chain()
+        name = request.solver or self._settings.solver
+        check_solver(name)
+        free = _free_of(request.free, chain)
+        if request.targets:
+            if request.HasField("target"):
+                raise SolverError("target and targets are both given: expected one of them")
+            return self._solve_many(name, chain, _targets_of(request.targets, name), self._start(request, chain), free)
         if not request.HasField("target"):
             raise SolverError("no target: expected a point in the base frame, metres")
         target = finite_target(request.target.x, request.target.y, request.target.z)
+        begin = self._start(request, chain)
+        solved = self._await(self._solvers.submit(name, Problem(chain, target, begin, free, self._settings.ik)))
+        solution = solved.solution
+        self._previous = solution.q
+        one = _answer(solution, chain)
+        return SolveIkResponse(
+            status=one.status,
+            joints=one.joints,
+            tip=one.tip,
+            residual_m=one.residual_m,
+            iterations=one.iterations,
+            solve_ms=solved.seconds * 1e3,
+            note=solution.note,
+        )
+
+    def _solve_many(
+        self, name: str, chain: Chain, targets: Array, begin: Array, free: tuple[int, ...]
+    ) -> SolveIkResponse:
+        starts = np.tile(begin, (len(targets), 1))
+        solved = self._await(self._solvers.submit_batch(name, chain, targets, starts, free, self._settings.ik))
+        solutions = solved.solution
+        return SolveIkResponse(
+            solutions=[_answer(solutions[i], chain) for i in range(len(solutions))],
+            solve_ms=solved.seconds * 1e3,
+            note=solutions.note,
+        )
+
+    def _start(self, request: SolveIkRequest, chain: Chain) -> Array:
         if request.start:
-            begin = with_joint2_at_0(chain, configuration_of(request.start, chain))
-        else:
-            begin = start(chain, self._settings.initialisation, self._previous, self._rng)
-        name = request.solver or self._settings.solver
-        future = self._solvers.submit(name, Problem(chain, target, begin, self._settings.ik))
+            begin = configuration_of(request.start, chain)
+            return begin if request.free else with_joint2_at_0(chain, begin)
+        return start(chain, self._settings.initialisation, self._previous, self._rng)
+
+    def _await(self, future: "Future[Timed[S]]") -> "Timed[S]":
         try:
-            solved = future.result(timeout=_PATIENCE_S)
+            return future.result(timeout=_PATIENCE_S)
         except FutureTimeoutError:
             future.cancel()
             state = self._solvers.trouble or ("solver loading" if self._solvers.loading else "the solver is busy")
             raise SolverError(f"no solution within {_PATIENCE_S:g} s: {state}; ask again") from None
-        solution = solved.solution
-        self._previous = solution.q
-        return SolveIkResponse(
-            status=_STATUS[solution.status],
-            joints=[
-                JointSetpoint(name=joint, position_rad=angle)
-                for joint, angle in zip(chain.names, solution.q, strict=True)
-            ],
-            tip=_vector(solution.tip),
-            residual_m=solution.residual_m,
-            iterations=solution.iterations,
-            solve_ms=solved.seconds * 1e3,
-        )
 
     def _chain(self) -> Chain:
         arm = self._loop.arm
         if arm is None:
             raise ModeError("the arm's description has not arrived yet: is sim running?")
         return arm.chain
+
+
+def _free_of(names: Sequence[str], chain: Chain) -> tuple[int, ...]:
+    if not names:
+        return REPORT_FREE
+    unknown = [name for name in names if name not in chain.names]
+    if unknown or len(set(names)) < len(names):
+        said = f"no joint {unknown[0]!r}" if unknown else "one of them twice"
+        raise SolverError(f"free joints: {said}; this arm has {', '.join(chain.names)}")
+    return tuple(sorted(chain.names.index(name) for name in names))
+
+
+def _targets_of(points: Sequence[Vector3], name: str) -> Array:
+    most = _MOST_TARGETS_ONE_BY_ONE if name == "gradient-descent" else _MOST_TARGETS
+    if len(points) > most:
+        raise SolverError(f"{len(points)} targets: {name} takes at most {most} in one request")
+    targets = []
+    for i, point in enumerate(points):
+        try:
+            targets.append(finite_target(point.x, point.y, point.z))
+        except SolverError as error:
+            raise SolverError(f"targets[{i}]: {error}") from error
+    return np.array(targets)
+
+
+def _answer(solution: Solution, chain: Chain) -> IkSolution:
+    return IkSolution(
+        status=_STATUS[solution.status],
+        joints=[
+            JointSetpoint(name=joint, position_rad=angle) for joint, angle in zip(chain.names, solution.q, strict=True)
+        ],
+        tip=_vector(solution.tip),
+        residual_m=solution.residual_m,
+        iterations=solution.iterations,
+    )
 
 
 def _vector(values: Array) -> Vector3:

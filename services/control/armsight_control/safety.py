@@ -8,7 +8,6 @@ from armsight.v1.safety_pb2 import StopState
 from armsight_control.chain import Array, Chain
 from armsight_control.errors import ControlError, PositionsError
 from armsight_control.kinematics import forward
-from armsight_control.positions import Directions
 
 # Positions that waited longer in this process, by its own monotonic clock, say where the arm was, not where it is.
 MAX_AGE_S = 0.1
@@ -45,7 +44,7 @@ def check_age(age_s: float) -> None:
         raise PositionsError("stale", f"positions waited {age_s:.2f} s before they were answered: is the machine busy?")
 
 
-def check_astray(chain: Chain, setpoint: Array, directions: Directions, speed_share: float) -> None:
+def check_astray(chain: Chain, setpoint: Array, tip: Array, speed_share: float) -> None:
     """Refuses positions that show the arm far from its setpoint.
 
     Raises:
@@ -55,7 +54,7 @@ def check_astray(chain: Chain, setpoint: Array, directions: Directions, speed_sh
     # joint 1 carries joint 2 on its own axis: what swings begins after it
     reach = float(np.linalg.norm(chain.origins[2:], axis=1).sum() + np.linalg.norm(chain.tip.position))
     allowed = _ASTRAY_AT_REST_M + _ASTRAY_DELAY_S * speed_share * float(chain.max_speed.max()) * reach
-    off = float(np.linalg.norm(directions.tip - expected))
+    off = float(np.linalg.norm(tip - expected))
     if off > allowed:
         raise PositionsError("astray", f"the tip is {off:.1f} m from where the setpoint puts it: is the arm blocked?")
 

@@ -56,7 +56,7 @@ class Service:
         bus = context.bus
         self._context = context
         self._lock = threading.Lock()
-        self._loop = Loop(settings.motion, settings.ik, settings.seed, bus.counters)
+        self._loop = Loop(settings.motion, settings.ik, settings.seed, bus.counters, settings.estimator)
         self._loop.set_mode(Mode(NAMES[settings.mode]))
         self._pursuit = Pursuit(self._loop, self._lock, settings.solver)
         self._queries = Queries(self._loop, self._lock, self._pursuit.solvers, settings)
@@ -127,7 +127,7 @@ class Service:
         elif status.mode == CONTROL_MODE_TRACK and solver.loading:
             health.report(HEALTH_STATUS_WAITING, "solver loading")
         else:
-            health.report(HEALTH_STATUS_OK, "solver loading" if solver.loading else "")
+            health.report(HEALTH_STATUS_OK, "solver loading" if solver.loading else solver.note)
 
     def _report_quiet(self, for_s: float) -> None:
         if self._loop.arm is None:

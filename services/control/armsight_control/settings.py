@@ -4,9 +4,10 @@ import argparse
 from dataclasses import dataclass
 
 from armsight.service import add_service_arguments
+from armsight_control import estimators
 from armsight_control.errors import ControlError
 from armsight_control.modes import INITIAL_NAMES
-from armsight_control.solvers.problem import Options
+from armsight_control.solvers.options import GradientDescentOptions, Options
 from armsight_control.solvers.start import INITIALISATIONS, Initialisation
 from armsight_control.trajectory import MotionLimits
 
@@ -16,6 +17,7 @@ class Settings:
     """What is in force; answered on `control/parameters`."""
 
     mode: str
+    estimator: str
     solver: str
     initialisation: Initialisation
     seed: int
@@ -30,7 +32,7 @@ class Settings:
 
 def parser() -> argparse.ArgumentParser:
     """The flags of `armsight-control`."""
-    defaults, motion = Options(), MotionLimits()
+    defaults, motion = GradientDescentOptions(), MotionLimits()
     flags = argparse.ArgumentParser(
         prog="armsight-control",
         description="Turns joint positions into joint angles and commands the joints; runs until SIGTERM.",
@@ -38,6 +40,12 @@ def parser() -> argparse.ArgumentParser:
     add_service_arguments(flags)
     control = flags.add_argument_group("control")
     control.add_argument("--mode", choices=INITIAL_NAMES, default="hold", help="mode to begin with (default: hold)")
+    control.add_argument(
+        "--estimator",
+        choices=estimators.NAMES,
+        default=estimators.all_joints.NAME,
+        help="of the joints' angles: all of them at once, or the report's Parts (default: %(default)s)",
+    )
     control.add_argument(
         "--speed", type=float, default=motion.speed_share, help="share of the joints' speed (default: %(default)s)"
     )
@@ -48,18 +56,21 @@ def parser() -> argparse.ArgumentParser:
         "--seed", type=int, default=0, help="of all random numbers, so that runs repeat (default: %(default)s)"
     )
     ik = flags.add_argument_group("inverse kinematics")
-    ik.add_argument("--solver", default="gradient-descent", help="default: %(default)s")
+    ik.add_argument("--solver", default="torch", help="default: %(default)s")
     ik.add_argument(
         "--initialisation",
         choices=INITIALISATIONS,
         default="random",
         help="start of a query that gives none; track always goes on from its last solution (default: %(default)s)",
     )
-    ik.add_argument("--alpha", type=float, default=defaults.alpha, help="step size (default: %(default)s)")
-    ik.add_argument(
+    report = flags.add_argument_group("the solver gradient-descent")
+    report.add_argument("--alpha", type=float, default=defaults.alpha, help="step size (default: %(default)s)")
+    report.add_argument(
         "--tolerance", type=float, default=defaults.tolerance_m, help="mean absolute error, m (default: %(default)s)"
     )
-    ik.add_argument("--max-steps", type=int, default=defaults.max_steps, help="of one descent (default: %(default)s)")
+    report.add_argument(
+        "--max-steps", type=int, default=defaults.max_steps, help="of one descent (default: %(default)s)"
+    )
     return flags
 
 
@@ -69,11 +80,15 @@ def settings_of(arguments: argparse.Namespace) -> Settings:
     Raises:
         ControlError: a value that can't work.
     """
+    descent = GradientDescentOptions(
+        alpha=arguments.alpha, tolerance_m=arguments.tolerance, max_steps=arguments.max_steps
+    )
     return Settings(
         mode=arguments.mode,
+        estimator=arguments.estimator,
         solver=arguments.solver,
         initialisation=arguments.initialisation,
         seed=arguments.seed,
-        ik=Options(alpha=arguments.alpha, tolerance_m=arguments.tolerance, max_steps=arguments.max_steps),
+        ik=Options(gradient_descent=descent),
         motion=MotionLimits(speed_share=arguments.speed, ramp_s=arguments.ramp),
     )

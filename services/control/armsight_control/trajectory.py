@@ -53,6 +53,12 @@ def part2_motion(t: float) -> Array:
     return np.array([2 * _sine(t, 28), 0.0, _sine(t, 20), _sine(t, 18)]) * (math.pi / 2)
 
 
+def all_motion(t: float) -> Array:
+    """All joints at once at ``t`` seconds: half periods of 10 s times square roots of primes never meet again."""
+    half_periods = (10 * math.sqrt(prime) for prime in (7, 2, 5, 3))
+    return np.array([2, 1, 1, 1]) * [_sine(t, half_period) for half_period in half_periods] * (math.pi / 2)
+
+
 def _sine(t: float, half_period_s: float) -> float:
     return math.sin(math.pi * t / half_period_s)
 

@@ -1,15 +1,19 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 
 import mujoco
 import numpy as np
 import pytest
+import torch
 
+from armsight_control import torch_kinematics
 from armsight_control.chain import Array, Chain, Point
 from armsight_control.description import Arm
 from armsight_control.errors import JointCountError, UnsupportedArmError
+from armsight_control.folded import fold
 from armsight_control.kinematics import (
     Links,
     denavit_hartenberg,
@@ -49,9 +53,9 @@ def random_chain(rng: np.random.Generator, count: int) -> Chain:
     )
 
 
-@pytest.mark.parametrize("which", ["the report's arm", "six joints anywhere"])
-def test_forward_kinematics_and_jacobian_equal_mujocos(which: str, arm: Arm, rng: np.random.Generator) -> None:
-    chain = arm.chain if which == "the report's arm" else random_chain(rng, 6)
+@pytest.mark.parametrize("joints", [0, 5, 6, 7], ids=["the report's arm", "five", "six", "seven joints anywhere"])
+def test_forward_kinematics_and_jacobian_equal_mujocos(joints: int, arm: Arm, rng: np.random.Generator) -> None:
+    chain = random_chain(rng, joints) if joints else arm.chain
     model = mujoco_model(chain)
     data = mujoco.MjData(model)
     for q in rng.uniform(-math.pi, math.pi, size=(200, chain.count)):
@@ -64,6 +68,9 @@ def test_forward_kinematics_and_jacobian_equal_mujocos(which: str, arm: Arm, rng
         rotations, origins = frames(chain, q)
         np.testing.assert_allclose(rotations[1:], data.xmat[1:].reshape(-1, 3, 3), atol=1e-9)
         np.testing.assert_allclose(origins[1:], data.xpos[1:], atol=1e-9)
+        tips, slopes = torch_kinematics.tip_and_jacobian(chain, torch.tensor(q))
+        np.testing.assert_allclose(tips.numpy(), data.site_xpos[0], atol=1e-9)
+        np.testing.assert_allclose(slopes.numpy(), by_mujoco, atol=1e-9)
 
 
 def test_jacobian_of_every_marker_is_the_derivative_of_its_position(arm: Arm, rng: np.random.Generator) -> None:
@@ -83,9 +90,50 @@ def test_a_batch_gives_what_single_configurations_give(arm: Arm, rng: np.random.
     np.testing.assert_allclose(slopes[3, 2], jacobian(arm.chain, batch[3, 2]), atol=1e-14)
 
 
+@pytest.mark.parametrize(("dtype", "within"), [(torch.float64, 1e-12), (torch.float32, 2e-5)])
+def test_torch_gives_what_numpy_gives_in_either_precision(
+    dtype: torch.dtype, within: float, arm: Arm, rng: np.random.Generator
+) -> None:
+    parallel = random_chain(rng, 5)
+    parallel.axes[2], parallel.axes[3] = parallel.axes[1], -parallel.axes[1]
+    for chain in (arm.chain, parallel, *(random_chain(rng, count) for count in (1, 2, 7))):
+        q = rng.uniform(-math.pi, math.pi, size=(3, 8, chain.count))
+        tips, slopes = torch_kinematics.tip_and_jacobian(chain, torch.tensor(q, dtype=dtype))
+        assert tips.dtype == slopes.dtype == dtype
+        np.testing.assert_allclose(tips.numpy(), forward(chain, q), atol=within)
+        np.testing.assert_allclose(slopes.numpy(), jacobian(chain, q), atol=within)
+
+
+def test_a_folded_chain_moves_its_free_joints_and_keeps_the_others(rng: np.random.Generator) -> None:
+    chain = random_chain(rng, 6)
+    free, held = (1, 2, 5), (0.3, -0.7, 1.1)
+    folded = fold(chain, free, held)
+    q = rng.uniform(-math.pi, math.pi, size=(50, 6))
+    q[:, [0, 3, 4]] = held
+    u = torch.tensor(q[:, free] + folded.offsets)
+    turns = torch_kinematics.sines(u.unbind(-1))
+    tip, _ = torch_kinematics.tip_and_columns(turns, torch_kinematics.links_of(folded, torch.float64))
+    np.testing.assert_allclose(torch.stack(tip, dim=-1).numpy(), folded.to_first(forward(chain, q)), atol=1e-12)
+    slopes = np.linalg.norm(jacobian(chain, q), axis=1)[:, free]
+    assert (slopes <= folded.levers + 1e-12).all(), "no joint moves the tip faster than its lever says"
+    assert (slopes.max(axis=0) > 0.1 * folded.levers).all()
+
+
+def test_chains_are_equal_where_their_values_are(rng: np.random.Generator) -> None:
+    chain = random_chain(rng, 3)
+    again = replace(chain, origins=chain.origins.copy())
+    other = replace(chain, origins=chain.origins + 1e-9)
+    assert chain == again
+    assert hash(chain) == hash(again)
+    assert chain != other
+    assert {chain: "here"}[again] == "here"
+
+
 def test_a_wrong_number_of_angles_is_refused(arm: Arm) -> None:
     with pytest.raises(JointCountError, match="3 angles for an arm of 4 joints"):
         forward(arm.chain, np.zeros(3))
+    with pytest.raises(JointCountError, match="5 angles for an arm of 4 joints"):
+        torch_kinematics.forward(arm.chain, torch.zeros(2, 5))
 
 
 def with_joint2_at_0(q: Array) -> Array:

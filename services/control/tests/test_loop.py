@@ -39,7 +39,7 @@ from armsight_control.kinematics import forward
 from armsight_control.loop import Answer, Loop
 from armsight_control.modes import NAMES, Mode, mode_of
 from armsight_control.solvers import Options, solve
-from armsight_control.trajectory import MotionLimits, part1_motion, part2_motion
+from armsight_control.trajectory import MotionLimits, all_motion, part1_motion, part2_motion
 
 if TYPE_CHECKING:
     from tests.conftest import Camera
@@ -59,11 +59,12 @@ class Stack:
         self.capture_ns = START_NS
         self.counters = Counters()
         self.limits = MotionLimits()
+        self.estimator = "all"
         self.loop = self.new_loop(description)
         self.description = description
 
     def new_loop(self, description: ArmDescription) -> Loop:
-        loop = Loop(self.limits, Options(), 0, self.counters)
+        loop = Loop(self.limits, Options(), 0, self.counters, self.estimator)
         loop.describe(description)
         return loop
 
@@ -77,10 +78,15 @@ class Stack:
     def look(self, status: dict[str, MarkerStatus] | None = None) -> JointPositions:
         return self.camera.positions(self.q, self.capture_ns, status)
 
-    def step(self, message: JointPositions | None = None, age_s: float = 0.001) -> Answer:
+    def step(
+        self,
+        message: JointPositions | None = None,
+        age_s: float = 0.001,
+        status: dict[str, MarkerStatus] | None = None,
+    ) -> Answer:
         """One instant: look, answer, apply; checks what must hold for every command."""
         self.capture_ns += PERIOD_NS
-        answer = self.loop.answer(self.look() if message is None else message, age_s)
+        answer = self.loop.answer(self.look(status) if message is None else message, age_s)
         assert answer is not None
         self.apply(answer)
         return answer
@@ -131,10 +137,22 @@ def test_joints_reaches_the_configuration_and_then_holds(stack: Stack) -> None:
     assert states[-1] == CONTROL_STATE_HOLDING
 
 
-@pytest.mark.parametrize(("name", "motion"), [("test-1", part1_motion), ("test-2", part2_motion)])
-def test_a_test_from_its_start_is_the_reports_sinusoid_and_its_angles_are_found(
-    name: str, motion: Callable[[float], Array], stack: Stack
+@pytest.mark.parametrize(
+    ("name", "motion", "asked", "answering"),
+    [
+        ("test-1", part1_motion, "parts", "part1"),
+        ("test-2", part2_motion, "parts", "part2"),
+        ("test-2", part2_motion, "part2", "part2"),
+        ("test-1", part1_motion, "all", "all"),
+        ("test-2", part2_motion, "all", "all"),
+        ("test-all", all_motion, "all", "all"),
+    ],
+)
+def test_a_test_from_its_start_is_its_sinusoid_and_its_angles_are_found(
+    name: str, motion: Callable[[float], Array], asked: str, answering: str, stack: Stack
 ) -> None:
+    stack.estimator = asked
+    stack.loop = stack.new_loop(stack.description)
     stack.reset(motion(8.0))
     stack.mode(name, start_s=8.0)
     for k in range(240):
@@ -143,7 +161,8 @@ def test_a_test_from_its_start_is_the_reports_sinusoid_and_its_angles_are_found(
         np.testing.assert_allclose(stack.q, stack.arm.chain.clip(motion(8.0 + k * PERIOD_NS / 1e9)), atol=1e-9)
         observable = [joint.observable for joint in answer.status.joints]
         assert np.abs(stack.estimate(answer) - before)[observable].max() < 1e-6
-        assert answer.status.estimator == {"test-1": "part1", "test-2": "part2"}[name]
+        assert answer.status.estimator == answering
+        assert all((joint.sigma_rad > 0) == (answering == "all") for joint in answer.status.joints)
 
 
 def test_the_same_instant_again_gets_the_same_answer_and_nothing_moves_on(stack: Stack) -> None:
@@ -179,6 +198,8 @@ def test_a_new_sim_may_begin_at_an_earlier_time(stack: Stack) -> None:
 
 @pytest.mark.parametrize("marker", ["red", "blue"])
 def test_a_lost_marker_holds_and_motion_goes_on_from_the_setpoint_when_it_is_back(stack: Stack, marker: str) -> None:
+    stack.estimator = "parts"
+    stack.loop = stack.new_loop(stack.description)
     stack.reset(part1_motion(3.0))
     stack.mode("test-1", start_s=3.0)
     for _ in range(10):
@@ -198,6 +219,40 @@ def test_a_lost_marker_holds_and_motion_goes_on_from_the_setpoint_when_it_is_bac
         expected = part1_motion(3.0 + (9 + k) * PERIOD_NS / 1e9)
         np.testing.assert_allclose(stack.q, expected, atol=1e-6)
     assert stack.counters.snapshot()["held_lost"] == 30
+
+
+@pytest.mark.parametrize("marker", ["yellow", "red", "blue"])
+def test_a_lost_marker_does_not_stop_an_arm_that_all_others_show(stack: Stack, marker: str) -> None:
+    stack.reset(all_motion(9.0))
+    stack.mode("test-all", start_s=9.0)
+    for k in range(60):
+        before = stack.q
+        answer = stack.step(status={marker: MARKER_STATUS_LOST} if k >= 10 else None)
+        assert answer.status.state == CONTROL_STATE_MOVING
+        np.testing.assert_allclose(stack.estimate(answer), before, atol=2e-3)
+    assert "held_lost" not in stack.counters.snapshot()
+
+
+def test_with_every_marker_of_the_last_links_lost_it_goes_blind_and_recovers(stack: Stack) -> None:
+    lost = dict.fromkeys(("yellow", "blue", "red"), MARKER_STATUS_LOST)
+    stack.reset(all_motion(9.0))
+    stack.mode("test-all", start_s=9.0)
+    for _ in range(10):
+        stack.step()
+    sigmas = []
+    for _ in range(150):
+        answer = stack.step(status=lost)
+        if answer.status.state != CONTROL_STATE_BLIND:
+            assert not any(joint.observable for joint in answer.status.joints)
+            sigmas.append([joint.sigma_rad for joint in answer.status.joints])
+    assert (np.diff(sigmas, axis=0) > 0).all(), "what is not seen is known less and less"
+    assert 30 < len(sigmas) < 120, "a second or more, not five"
+    assert (answer.status.state, answer.command.hold) == (CONTROL_STATE_BLIND, True)
+    assert "blue and red can't be seen" in answer.status.detail
+    before = stack.q
+    answer = stack.step()
+    assert answer.status.state == CONTROL_STATE_MOVING
+    np.testing.assert_allclose(stack.estimate(answer), before, atol=0.01)
 
 
 def test_stale_and_implausible_positions_hold(stack: Stack) -> None:
@@ -330,7 +385,7 @@ def test_mode_requests_are_checked_with_a_clear_text(arm: Arm) -> None:
     np.testing.assert_array_equal(goal, [0, 0, 0.5, 0])
     for error, text, wrong in (
         (ModeError, "follow is not built yet", request(CONTROL_MODE_FOLLOW)),
-        (ModeError, "there are hold, joints, test-1, test-2, track", SetModeRequest.FromString(b"\x08\x63")),
+        (ModeError, "there are hold, joints, test-1, test-2, test-all, track", SetModeRequest.FromString(b"\x08\x63")),
         (SetpointError, "this arm needs joint1", request(CONTROL_MODE_JOINTS, joint1=0.0)),
         (SetpointError, "not finite", request(CONTROL_MODE_JOINTS, **zeros | {"joint1": math.nan})),
         (SetpointError, "outside of its limits", request(CONTROL_MODE_JOINTS, **zeros | {"joint2": 2.0})),

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 
 from armsight_control.description import Arm
 from armsight_control.errors import SolverError
-from armsight_control.solvers import Options, Problem
+from armsight_control.kinematics import forward
+from armsight_control.solvers import REPORT_FREE, GradientDescentOptions, Options, Problem, Status
 from armsight_control.solvers.process import Solvers
 
 # torch takes five seconds to load on a quiet machine
@@ -41,7 +43,8 @@ def solvers() -> Iterator[Solvers]:
 
 @pytest.fixture
 def problem(arm: Arm) -> Problem:
-    return Problem(arm.chain, np.array([3.6, 1.2, 7.5]), np.array([0.1, 0.0, -0.4, 0.4]), Options(max_steps=5000))
+    options = Options(gradient_descent=GradientDescentOptions(max_steps=5000))
+    return Problem(arm.chain, np.array([3.6, 1.2, 7.5]), np.array([0.1, 0.0, -0.4, 0.4]), REPORT_FREE, options)
 
 
 def test_the_loops_process_never_imports_torch() -> None:
@@ -82,7 +85,8 @@ def children_of_this(solvers: Solvers) -> list[int]:
 def test_a_process_that_dies_over_a_target_fails_that_target_alone(solvers: Solvers, problem: Problem) -> None:
     until_ready = solvers.submit("gradient-descent", problem)
     until_ready.result(timeout=LOADED_S)
-    slow = Problem(problem.chain, np.array([0.0, 0.0, 9.9]), problem.start, Options(alpha=1e-9, max_steps=100_000))
+    options = Options(gradient_descent=GradientDescentOptions(alpha=1e-9, max_steps=100_000))
+    slow = replace(problem, target=np.array([0.0, 0.0, 9.9]), options=options)
     job = solvers.submit("gradient-descent", slow)
     until(job.running)
     for worker in children_of_this(solvers):
@@ -124,6 +128,28 @@ def test_closing_ends_the_process_within_a_second(problem: Problem) -> None:
     assert time.monotonic() - began < 1.0
 
 
+def test_a_batch_is_solved_beside_whatever_the_solver(solvers: Solvers, problem: Problem) -> None:
+    targets = np.array([[3.6, 1.2, 7.5], [9.0, 0.0, 5.0], [2.0, -2.0, 8.0]])
+    starts = np.tile(problem.start, (3, 1))
+    for name in ("closed-form", "torch"):
+        job = solvers.submit_batch(name, problem.chain, targets, starts, REPORT_FREE, problem.options)
+        found = job.result(timeout=LOADED_S)
+        assert found.seconds > 0
+        assert found.solution.status == (Status.CONVERGED, Status.UNREACHABLE, Status.CONVERGED)
+        off = np.linalg.norm(forward(problem.chain, found.solution.q) - targets, axis=1)
+        np.testing.assert_allclose(off, found.solution.residual_m, atol=1e-12)
+        assert off[[0, 2]].max() < 1e-4
+    refused = solvers.submit_batch("torch", problem.chain, targets, starts, (7,), problem.options)
+    with pytest.raises(SolverError, match="expected some of 0 to 3"):
+        refused.result(timeout=10)
+
+
+def test_the_process_says_how_its_solvers_run(solvers: Solvers, problem: Problem) -> None:
+    solution = solvers.submit("torch", problem).result(timeout=LOADED_S).solution
+    assert solution.status == Status.CONVERGED
+    assert (solvers.note == "") == (solution.note == "")
+
+
 def test_an_unknown_solver_is_refused_with_those_that_there_are(solvers: Solvers, problem: Problem) -> None:
-    with pytest.raises(SolverError, match="there are gradient-descent, closed-form"):
+    with pytest.raises(SolverError, match="there are torch, gradient-descent, levenberg-marquardt, closed-form"):
         solvers.submit("newton", problem)

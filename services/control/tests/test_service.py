@@ -48,7 +48,7 @@ from armsight.v1.control_pb2 import (
     CONTROL_STATE_STOPPED,
     CONTROL_STATE_WAITING,
     IK_STATUS_CONVERGED,
-    IK_STATUS_OUT_OF_REACH,
+    IK_STATUS_UNREACHABLE,
     ControlMode,
     ControlStatus,
     ForwardKinematicsRequest,
@@ -258,8 +258,8 @@ def test_silence_of_vision_is_blind_and_motion_goes_on_afterwards(rig: Rig) -> N
     assert np.abs(rig.q - before).max() < 0.02
 
 
-def test_a_lost_marker_is_answered_with_hold(rig: Rig) -> None:
-    rig.start()
+def test_by_its_parts_a_lost_marker_is_answered_with_hold(rig: Rig) -> None:
+    rig.start("--estimator", "parts")
     rig.reset(part2_motion(5.0))
     rig.mode(CONTROL_MODE_TEST_2, start_s=5.0)
     rig.instant()
@@ -268,6 +268,23 @@ def test_a_lost_marker_is_answered_with_hold(rig: Rig) -> None:
     assert rig.command is not None
     assert rig.command.hold
     assert rig.instant().state == CONTROL_STATE_MOVING
+
+
+def test_one_lost_marker_breaks_no_motion_and_two_for_longer_are_answered_with_hold(rig: Rig) -> None:
+    rig.start()
+    rig.reset(part2_motion(5.0))
+    rig.mode(CONTROL_MODE_TEST_2, start_s=5.0)
+    rig.instant()
+    assert rig.instant({"red": MARKER_STATUS_LOST}).state == CONTROL_STATE_MOVING
+    for _ in range(60):
+        lost = rig.instant({"red": MARKER_STATUS_LOST, "blue": MARKER_STATUS_LOST})
+        if lost.state == CONTROL_STATE_BLIND:
+            break
+    assert lost.state == CONTROL_STATE_BLIND, "two seconds on what was known before"
+    assert "can't be seen by any camera" in lost.detail
+    assert rig.command is not None
+    assert rig.command.hold
+    rig.until(lambda: rig.instant().state == CONTROL_STATE_MOVING, 3)
 
 
 def test_the_same_instant_again_gets_the_same_answer_again(rig: Rig) -> None:
@@ -359,20 +376,59 @@ def test_queries_answer_and_refuse_with_a_text(rig: Rig) -> None:
     solved = rig.bus.query(SOLVE_IK, SolveIkRequest(target=target))
     assert solved.status == IK_STATUS_CONVERGED
     assert solved.residual_m < 1e-9
-    assert rig.bus.query(SOLVE_IK, SolveIkRequest(target=Vector3(x=9))).status == IK_STATUS_OUT_OF_REACH
+    assert rig.bus.query(SOLVE_IK, SolveIkRequest(target=Vector3(x=9))).status == IK_STATUS_UNREACHABLE
     for text, request in (
-        ("no solver 'newton'; there are gradient-descent, closed-form", SolveIkRequest(target=target, solver="newton")),
+        (
+            "no solver 'newton'; there are torch, gradient-descent, levenberg-marquardt, closed-form",
+            SolveIkRequest(target=target, solver="newton"),
+        ),
         ("no target", SolveIkRequest()),
         ("not finite", SolveIkRequest(target=Vector3(x=float("nan")))),
         ("this arm needs", SolveIkRequest(target=target, start=[JointSetpoint(name="joint1")])),
+        ("both given", SolveIkRequest(target=target, targets=[target])),
+        (r"targets\[1\]: .*not finite", SolveIkRequest(targets=[target, Vector3(x=float("inf"))])),
+        ("no joint 'elbow'; this arm has joint1", SolveIkRequest(target=target, free=["elbow"])),
+        ("1001 targets: closed-form takes at most 1000", SolveIkRequest(targets=[target] * 1001)),
+        ("takes at most 16", SolveIkRequest(targets=[target] * 17, solver="gradient-descent")),
     ):
         with pytest.raises(RefusedError, match=text):
             rig.bus.query(SOLVE_IK, request)
+
+    below = Vector3(x=4.6, y=0.1, z=2.6)
+    assert rig.bus.query(SOLVE_IK, SolveIkRequest(target=below)).status == IK_STATUS_UNREACHABLE
+    freed = rig.bus.query(SOLVE_IK, SolveIkRequest(target=below, free=rig.arm.chain.names))
+    assert freed.status == IK_STATUS_CONVERGED
 
     assert rig.asked(SetModeRequest()) == CONTROL_MODE_HOLD
     with pytest.raises(RefusedError, match="follow is not built yet"):
         rig.bus.query(MODE, SetModeRequest(mode=CONTROL_MODE_FOLLOW))
     assert '"solver": "closed-form"' in rig.bus.query(PARAMETERS, PARAMETERS.request(), "control").json
+
+
+def test_many_targets_are_answered_in_their_order_in_one_reply(rig: Rig) -> None:
+    rig.start("--solver", "torch")
+    rig.reset(np.zeros(4))
+    targets = [Vector3(x=3.6, y=1.2, z=7.5), Vector3(x=9.0, z=4.0), Vector3(x=-2.0, y=2.0, z=8.0)]
+    answers: list[SolveIkResponse] = []
+    refusals: list[str] = []
+
+    def answered() -> bool:
+        try:
+            request = SolveIkRequest(targets=targets, free=rig.arm.chain.names)
+            answers.append(rig.bus.query(SOLVE_IK, request, timeout_s=10))
+        except RefusedError as refused:
+            refusals.append(str(refused))
+        return bool(answers)
+
+    rig.until(answered, 90)
+    assert all("solver loading" in refusal or "busy" in refusal for refusal in refusals)
+    solutions = answers[0].solutions
+    assert [each.status for each in solutions] == [IK_STATUS_CONVERGED, IK_STATUS_UNREACHABLE, IK_STATUS_CONVERGED]
+    assert solutions[1].residual_m == pytest.approx(3.0, abs=1e-3)
+    for target, solution in zip(targets, solutions, strict=True):
+        tip = forward(rig.arm.chain, np.array([joint.position_rad for joint in solution.joints]))
+        off = np.linalg.norm(tip - [target.x, target.y, target.z])
+        assert off == pytest.approx(solution.residual_m, abs=1e-9)
 
 
 def test_a_descent_by_query_is_the_reports_whatever_solver_is_in_force(rig: Rig) -> None:
@@ -421,9 +477,9 @@ def test_health_has_rate_and_latency_and_it_ends_on_sigterm_at_once(rig: Rig) ->
         (["--alpha", "0"], "alpha 0.0"),
         (["--speed", "2"], "speed 2.0"),
         (["--seed", "-1"], "seed -1"),
-        (["--solver", "newton"], "there are gradient-descent, closed-form"),
+        (["--solver", "newton"], "there are torch, gradient-descent"),
         (["--connect", "nonsense"], "tcp/HOST:PORT"),
-        (["--max-steps", "0"], "0 steps"),
+        (["--max-steps", "0"], "max_steps 0"),
         (["--mode", "joints"], "invalid choice: 'joints'"),
     ],
 )

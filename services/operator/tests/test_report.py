@@ -7,7 +7,16 @@ from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, MARKER_STATUS_TRACKED, Jo
 from armsight_operator.report import fixed_scale, markers, summary
 from armsight_operator.report.chain import MARKER_NOISE_M, Arm, Array, arm_of, tip_from_markers
 from armsight_operator.report.markers import Sample
-from armsight_operator.report.measure import PART1_PERIODS, PART2_PERIODS, Descent, Part, PoseRow, mean_squared, path
+from armsight_operator.report.measure import (
+    ALL_PERIODS,
+    PART1_PERIODS,
+    PART2_PERIODS,
+    Descent,
+    Part,
+    PoseRow,
+    mean_squared,
+    path,
+)
 from fake_arm import description
 
 RNG = np.random.default_rng(20)
@@ -87,10 +96,11 @@ def test_sigma_is_the_spread_of_a_least_squares_estimate(arm: Arm) -> None:
     np.testing.assert_allclose(arm.sigma(q, free), spread, rtol=0.05)
 
 
-@pytest.mark.parametrize("periods", [PART1_PERIODS, PART2_PERIODS])
-def test_test_motions_keep_their_fixed_joint_and_the_limits(arm: Arm, periods: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("periods", [PART1_PERIODS, PART2_PERIODS, ALL_PERIODS])
+def test_test_motions_keep_their_fixed_joints_and_the_limits(arm: Arm, periods: tuple[float, ...]) -> None:
     angles = np.array([path(periods, t) for t in np.linspace(0, 60, 2000)])
-    assert not angles[:, periods.index(0.0)].any()
+    fixed = [i for i, period in enumerate(periods) if not period]
+    assert not angles[:, fixed].any()
     assert (np.abs(angles) <= arm.limits[:, 1] + 1e-12).all()
     np.testing.assert_allclose(angles[0], 0.0)
     moving = [i for i, period in enumerate(periods) if period]
@@ -168,7 +178,11 @@ def results() -> summary.Results:
     observable[2, 0] = False
     observable[:, 1] = False
     part = Part("test-1", ("nu", "phi", "psi"), (1, 2, 3), np.arange(4.0), estimated, true, observable, SAMPLES)
-    return summary.Results(4, True, [row, row], part, part, [Descent("fixed", 4, 3)], np.array([5.0, 6.0, 50.0]))
+    symbols = ("theta", "nu", "phi", "psi")
+    still = np.zeros((4, 4))
+    whole = Part("test-all", symbols, (0, 1, 2, 3), np.arange(4.0), still + 0.002, still, still == 0.0, SAMPLES)
+    parts = {"part1": part, "part2": part, "all": whole}
+    return summary.Results(4, True, [row, row], parts, [Descent("fixed", 4, 3)], np.array([5.0, 6.0, 50.0]))
 
 
 def test_summary_counts_only_what_can_be_observed() -> None:
@@ -178,6 +192,7 @@ def test_summary_counts_only_what_can_be_observed() -> None:
     assert told["part1"]["observable"] == {"nu": 0.75, "phi": 0.0, "psi": 1.0}
     assert np.isnan(told["part1"]["rms"]["phi"])
     assert told["part1"]["max"]["psi"] == pytest.approx(0.1)
+    assert told["all"]["rms"] == pytest.approx(dict.fromkeys(("theta", "nu", "phi", "psi"), 0.002))
 
 
 def test_summary_gives_mean_squares_over_poses_and_axes() -> None:
@@ -194,4 +209,6 @@ def test_markdown_shows_the_same_figures() -> None:
     assert "| 0.1 | 0.2 | 0.3 |" in text
     assert "| 3.0 | 300 | 600 |" in text
     assert "| nu | 10.0 | 10.0 | 75 % |" in text
+    assert "## All joints at once" in text
+    assert "| theta | 2.0 | 2.0 | 100 % |" in text
     assert "p50 6.0 ms" in text

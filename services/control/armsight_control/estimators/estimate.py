@@ -22,6 +22,10 @@ class Estimate:
     """False where the angle is not measured: held in gimbal lock, or taken as fixed."""
     misfit: float
     """How far the directions that follow from the angles are from the measured ones, as a length of unit vectors."""
+    sigma: Array | None = None
+    """One standard deviation of every joint, where the estimator knows it."""
+    velocity: Array | None = None
+    """Of every joint, rad/s, where the estimator knows it."""
 
 
 def judge(estimator: str, angles: Array, observable: tuple[bool, ...], r3: Array, r4: Array) -> Estimate:

@@ -12,7 +12,7 @@ import torch
 
 from armsight_control.chain import Array
 from armsight_control.kinematics import Links
-from armsight_control.solvers.problem import Options
+from armsight_control.solvers.options import GradientDescentOptions
 
 
 def forward(links: Links, q: torch.Tensor) -> torch.Tensor:
@@ -36,7 +36,9 @@ def gradient(links: Links, q: torch.Tensor, target: torch.Tensor) -> tuple[torch
     return slope, error.detach().abs().mean()
 
 
-def descend(links: Links, limits: Array, target: Array, start: Array, options: Options) -> tuple[Array, int, bool]:
+def descend(
+    links: Links, limits: Array, target: Array, start: Array, options: GradientDescentOptions
+) -> tuple[Array, int, bool]:
     """Descends from a configuration.
 
     Args:

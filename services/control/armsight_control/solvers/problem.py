@@ -1,10 +1,14 @@
 """What every solver takes and returns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armsight_control.chain import Array, Chain
-from armsight_control.errors import ControlError
+from armsight_control.folded import Folded
+from armsight_control.solvers.options import Options
 
 
 class Status(Enum):
@@ -13,28 +17,12 @@ class Status(Enum):
     CONVERGED = "converged"
     STEP_LIMIT = "step limit"
     """Ran out of steps above the tolerance."""
-    OUT_OF_REACH = "out of reach"
+    UNREACHABLE = "unreachable"
     """No configuration reaches the target: the solution is for the nearest point that one does."""
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """The report's descent, section 4.2; a solver uses those that concern it."""
-
-    alpha: float = 0.01
-    """Step size."""
-    tolerance_m: float = 0.005
-    """Of the mean absolute error over x, y and z."""
-    max_steps: int = 500
-
-    def __post_init__(self) -> None:
-        """Refuses what can't work."""
-        if not 0 < self.alpha <= 1:
-            raise ControlError(f"alpha {self.alpha} is not above 0 and at most 1")
-        if not 0 < self.tolerance_m <= 1:
-            raise ControlError(f"tolerance {self.tolerance_m} m is not above 0 and at most 1 m")
-        if not 1 <= self.max_steps <= 100_000:
-            raise ControlError(f"{self.max_steps} steps are not between 1 and 100000")
+REPORT_FREE = (0, 2, 3)
+"""The report's inverse kinematics: joint 2 stays where it is, at 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +31,12 @@ class Problem:
 
     chain: Chain
     target: Array
-    """Base frame, metres."""
+    """(3,), base frame, metres."""
     start: Array
-    """All joints, radians; always inside the limits once solved."""
-    options: Options = Options()
+    """(n,), all joints, radians; always inside the limits once solved."""
+    free: tuple[int, ...]
+    """Indices of the joints that may move; the others stay at the start's values."""
+    options: Options = field(default_factory=Options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,3 +53,70 @@ class Solution:
     status: Status
     converged: bool
     """Whether the tip is where the solver meant to put it: at the target, or at the reachable point nearest to it."""
+    note: str = ""
+    """What the solver had to do without, one line for a person; empty where all was as it should be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solutions:
+    """Solutions of m targets, as arrays; fields as in :class:`Solution`."""
+
+    q: Array
+    """(m, n)."""
+    tip: Array
+    """(m, 3)."""
+    residual_m: Array
+    """(m,)."""
+    iterations: NDArray[np.int64]
+    """(m,)."""
+    status: tuple[Status, ...]
+    converged: NDArray[np.bool_]
+    """(m,)."""
+    note: str = ""
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __getitem__(self, index: int) -> Solution:
+        return Solution(
+            q=self.q[index],
+            tip=self.tip[index],
+            residual_m=float(self.residual_m[index]),
+            iterations=int(self.iterations[index]),
+            status=self.status[index],
+            converged=bool(self.converged[index]),
+            note=self.note,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a solver gets: m targets of one chain with the same joints held at the same angles."""
+
+    chain: Chain
+    folded: Folded
+    aims: Array
+    """(m, 3), base frame: the targets, moved to the nearest reachable points where these are known."""
+    starts: Array
+    """(m, n), all joints, inside the limits."""
+    options: Options
+
+    @property
+    def free_starts(self) -> Array:
+        """(m, k), of the free joints."""
+        return self.starts[:, self.folded.free]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a solver gives back for a task."""
+
+    q: Array
+    """(m, k), of the free joints."""
+    iterations: NDArray[np.int64]
+    """(m,)."""
+    met: NDArray[np.bool_]
+    """(m,): the tip is at the aim."""
+    stationary: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    """(m,): it is not, and within the limits no motion brings it nearer. Empty where the solver doesn't look."""
+    note: str = ""

@@ -11,10 +11,19 @@ from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from time import monotonic, perf_counter
-from typing import Any
+from typing import Any, Generic, Literal, TypeVar
 
+from armsight_control.chain import Array, Chain
 from armsight_control.errors import ControlError, SolverError
-from armsight_control.solvers import BESIDE_THE_LOOP, Problem, Solution, check_solver, solve
+from armsight_control.solvers import (
+    BESIDE_THE_LOOP,
+    Options,
+    Problem,
+    Solution,
+    Solutions,
+    check_solver,
+    solve,
+)
 
 log = logging.getLogger(__name__)
 
@@ -25,19 +34,22 @@ _LONGEST_SOLVE_S = 60.0
 _RESTART_S = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Timed:
-    """A solution and what it took."""
+S = TypeVar("S", Solution, Solutions)
 
-    solution: Solution
+
+@dataclass(frozen=True, slots=True)
+class Timed(Generic[S]):
+    """A solution, or those of a batch, and what it took."""
+
+    solution: S
     seconds: float
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    name: str
-    problem: Problem
-    future: "Future[Timed]"
+    function: Literal["solve", "solve_batch"]
+    arguments: tuple[Any, ...]
+    future: "Future[Timed[Any]]"
 
 
 class _LostError(Exception):
@@ -55,12 +67,18 @@ class Solvers:
         self._thread: threading.Thread | None = None
         self._ready = False
         self._trouble = ""
+        self._note = ""
         self.restarts = 0
 
     @property
     def trouble(self) -> str:
         """What is wrong with the process, one line for health; empty where nothing is."""
         return self._trouble
+
+    @property
+    def note(self) -> str:
+        """What the process does without, one line: the solvers work, but slower than they could."""
+        return self._note
 
     @property
     def loading(self) -> bool:
@@ -74,23 +92,25 @@ class Solvers:
             SolverError: no solver of that name.
         """
         check_solver(name)
-        if name not in BESIDE_THE_LOOP:
-            return
+        if name in BESIDE_THE_LOOP:
+            self._begin()
+
+    def _begin(self) -> None:
         with self._lock:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="solver", daemon=True)
                 self._thread.start()
 
-    def submit(self, name: str, problem: Problem) -> "Future[Timed]":
+    def submit(self, name: str, problem: Problem) -> "Future[Timed[Solution]]":
         """Solves a problem; the future has the solution, or a :class:`SolverError`.
 
         Raises:
             SolverError: no solver of that name.
         """
         self.prepare(name)
-        future: Future[Timed] = Future()
+        future: Future[Timed[Solution]] = Future()
         if name in BESIDE_THE_LOOP:
-            self._jobs.put(_Job(name, problem, future))
+            self._jobs.put(_Job("solve", (name, problem), future))
             return future
         began = perf_counter()
         try:
@@ -99,6 +119,20 @@ class Solvers:
             future.set_exception(error)
         else:
             future.set_result(Timed(solution, perf_counter() - began))
+        return future
+
+    def submit_batch(
+        self, name: str, chain: Chain, targets: Array, starts: Array, free: tuple[int, ...], options: Options
+    ) -> "Future[Timed[Solutions]]":
+        """Solves many targets, whatever the solver, beside the loop; arguments and result as of `solve_batch`.
+
+        Raises:
+            SolverError: no solver of that name.
+        """
+        check_solver(name)
+        self._begin()
+        future: Future[Timed[Solutions]] = Future()
+        self._jobs.put(_Job("solve_batch", (name, chain, targets, starts, free, options), future))
         return future
 
     def close(self) -> None:
@@ -135,11 +169,14 @@ class Solvers:
         )
 
     def _serve(self, connection: Connection) -> None:
-        kind, text = self._receive(connection, _LONGEST_SOLVE_S)
+        kind, said = self._receive(connection, _LONGEST_SOLVE_S)
         if kind != "ready":
-            self._trouble = str(text)
-            raise _LostError(text)
+            self._trouble = str(said)
+            raise _LostError(said)
+        text, self._note = said
         log.info("solver ready", extra={"with": text})
+        if self._note:
+            log.warning("%s", self._note)
         self._ready, self._trouble = True, ""
         while not self._closing.is_set():
             try:
@@ -153,7 +190,7 @@ class Solvers:
 
     def _do(self, job: _Job, connection: Connection) -> None:
         try:
-            connection.send((job.name, job.problem))
+            connection.send((job.function, job.arguments))
             kind, result = self._receive(connection, _LONGEST_SOLVE_S)
         except (EOFError, OSError, _LostError) as error:
             job.future.set_exception(SolverError("the solver's process died over this target: ask again"))

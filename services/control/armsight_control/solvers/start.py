@@ -1,10 +1,12 @@
 """Where a descent starts: the report's three initialisations."""
 
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from armsight_control.chain import Array, Chain
+from armsight_control.folded import Folded
 
 Initialisation = Literal["fixed", "previous", "random"]
 INITIALISATIONS: tuple[Initialisation, ...] = ("fixed", "previous", "random")
@@ -45,3 +47,12 @@ def with_joint2_at_0(chain: Chain, q: Array) -> Array:
     moved = chain.clip(q)
     moved[FIXED_JOINT] = 0.0
     return moved
+
+
+@lru_cache(maxsize=64)
+def spread(folded: Folded, count: int, seed: int) -> Array:
+    """Starts (count, n) all over the limits, in u = q + offset: the same ones for every target."""
+    limits = folded.limits
+    drawn = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (count, len(limits)))
+    drawn.setflags(write=False)
+    return drawn

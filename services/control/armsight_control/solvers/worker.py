@@ -8,13 +8,15 @@ import ctypes
 import os
 import signal
 import sys
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from time import perf_counter
 
 from armsight_control.errors import ControlError
-from armsight_control.solvers import solve
+from armsight_control.solvers import solve, solve_batch
 
 _PR_SET_PDEATHSIG = 1
+_FUNCTIONS: dict[str, Callable[..., object]] = {"solve": solve, "solve_batch": solve_batch}
 
 
 def main(descriptor: int, parent: int) -> None:
@@ -28,19 +30,22 @@ def main(descriptor: int, parent: int) -> None:
     try:
         import torch
 
+        from armsight_control.solvers.packages import prepare
+
         torch.set_num_threads(1)
-        connection.send(("ready", f"torch {torch.__version__}"))
+        backends, note = prepare()
+        connection.send(("ready", (f"torch {torch.__version__}, {backends}", note)))
     except Exception as error:
         connection.send(("broken", f"torch can't be loaded: {error}"))
         return
     while True:
         try:
-            name, problem = connection.recv()
+            function, arguments = connection.recv()
         except EOFError:
             return
         began = perf_counter()
         try:
-            solution = solve(name, problem)
+            solution = _FUNCTIONS[function](*arguments)
         except ControlError as error:
             connection.send(("refused", str(error)))
         else:

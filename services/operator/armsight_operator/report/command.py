@@ -69,7 +69,7 @@ def report(
     _write(results, out)
     figures = summary.to_json(results)
     print(f"table 1 MSE {figures['table1']['mse']:.2g} m² (report {figures['table1']['report_mse']:.3g})")
-    for key in ("part1", "part2"):
+    for key in summary.TITLES:
         rms = ", ".join(f"{symbol} {1000 * value:.1f}" for symbol, value in figures[key]["rms"].items())
         print(f"{key} RMS, mrad: {rms}")
     print(f"written to {out}/report.md and {out}/summary.json in {time.monotonic() - began:.0f} s")
@@ -81,21 +81,24 @@ def _measure(run: Run, *, quick: bool, samples: int, seed: int, poses: int) -> s
     with _progress() as show:
         run.hold()
         rows = measure.table1(run, show("ten poses"))
-        first = measure.part1(run, begin_s, duration_s, show("Part I"))
-        second = measure.part2(run, begin_s, duration_s, show("Part II"))
+        parts = {
+            "part1": measure.part1(run, begin_s, duration_s, show("Part I")),
+            "part2": measure.part2(run, begin_s, duration_s, show("Part II")),
+            "all": measure.all_joints(run, begin_s, duration_s, show("all joints")),
+        }
         run.hold()
         random = measure.random_poses(run, seed, poses, show("random poses")) if poses else None
         descents = measure.descents(run, seed, targets, show("inverse kinematics"))
     latencies = np.array(run.latencies_ms)
-    return summary.Results(samples, quick, rows, first, second, descents, latencies, random)
+    return summary.Results(samples, quick, rows, parts, descents, latencies, random)
 
 
 def _write(results: summary.Results, out: Path) -> None:
     plots.plot_table1(results.table1, out / "table1.png")
-    for part, key in ((results.part1, "part1"), (results.part2, "part2")):
+    for key, part in results.parts.items():
         plots.plot_angles(part, out / f"{key}_angles.png")
         plots.plot_errors(part, out / f"{key}_errors.png")
-    samples = {"part1": results.part1.markers, "part2": results.part2.markers}
+    samples = {key: part.markers for key, part in results.parts.items()}
     if results.random is not None:
         samples["random"] = results.random.markers
     markers.write_csv(samples, out / "markers.csv")

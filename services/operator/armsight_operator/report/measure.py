@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
@@ -19,6 +20,8 @@ Progress = Callable[[float], None]
 # Of sin(pi t / period) for each joint: the motions that the report evaluates on.
 PART1_PERIODS = (0.0, 15.0, 20.0, 18.0)
 PART2_PERIODS = (28.0, 0.0, 20.0, 18.0)
+# Ours, of all joints at once: no two of them are in a ratio of whole numbers.
+ALL_PERIODS = tuple(10 * math.sqrt(prime) for prime in (7, 2, 5, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +124,12 @@ def part1(run: Run, begin_s: float, duration_s: float, progress: Progress) -> Pa
 def part2(run: Run, begin_s: float, duration_s: float, progress: Progress) -> Part:
     """Joint 2 fixed at 0."""
     return _part(run, "test-2", ("theta", "phi", "psi"), (0, 2, 3), PART2_PERIODS, (begin_s, duration_s), progress)
+
+
+def all_joints(run: Run, begin_s: float, duration_s: float, progress: Progress) -> Part:
+    """All four joints move."""
+    symbols = ("theta", "nu", "phi", "psi")
+    return _part(run, "test-all", symbols, (0, 1, 2, 3), ALL_PERIODS, (begin_s, duration_s), progress)
 
 
 def random_poses(run: Run, seed: int, count: int, progress: Progress) -> Random:

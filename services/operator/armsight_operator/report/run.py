@@ -154,8 +154,9 @@ class Run:
         return instants
 
     def solve_ik(self, target: Array, start: Array) -> SolveIkResponse:
-        """Inverse kinematics of control, from a given start."""
+        """Inverse kinematics of control by the report's descent, from a given start."""
         request = SolveIkRequest(
+            solver="gradient-descent",
             target=Vector3(x=target[0], y=target[1], z=target[2]),
             start=[
                 JointSetpoint(name=name, position_rad=angle) for name, angle in zip(self.arm.names, start, strict=True)

@@ -12,6 +12,9 @@ from armsight_operator.report.measure import Descent, Part, PoseRow, Random, mea
 REPORT_MSE = 0.155
 """Of the report's own table, m²."""
 
+TITLES = {"part1": "Part I: joint 1 fixed", "part2": "Part II: joint 2 fixed", "all": "All joints at once"}
+"""Of the test motions."""
+
 
 @dataclass(slots=True)
 class Results:
@@ -20,8 +23,8 @@ class Results:
     samples: int
     quick: bool
     table1: list[PoseRow]
-    part1: Part
-    part2: Part
+    parts: dict[str, Part]
+    """By the keys of :data:`TITLES`."""
     descents: list[Descent]
     latencies_ms: Array
     random: Random | None = None
@@ -39,8 +42,7 @@ def to_json(results: Results) -> dict[str, Any]:
             "report_method_mse": mean_squared(np.array([row.report_method - row.truth for row in rows])),
             "rows": [_row(row) for row in rows],
         },
-        "part1": _part(results.part1),
-        "part2": _part(results.part2),
+        **{key: _part(part) for key, part in results.parts.items()},
         "ik": {
             descent.initialisation: {
                 "targets": descent.targets,
@@ -101,7 +103,7 @@ def to_markdown(results: Results) -> str:
         "![end effector error](table1.png)",
         "",
     ]
-    for title, key in (("Part I: joint 1 fixed", "part1"), ("Part II: joint 2 fixed", "part2")):
+    for key, title in TITLES.items():
         part = summary[key]
         lines += [
             f"## {title}",

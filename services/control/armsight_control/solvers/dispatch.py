@@ -1,0 +1,229 @@
+"""From a solver's name and a problem to its solution: what all solvers have in common before and after."""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight_control.chain import Array, Chain
+from armsight_control.errors import SolverError, UnsupportedArmError
+from armsight_control.folded import check_free, fold
+from armsight_control.kinematics import Links, forward, links_of
+from armsight_control.solvers import closed_form, redundant
+from armsight_control.solvers.options import Options
+from armsight_control.solvers.problem import REPORT_FREE, Found, Problem, Solution, Solutions, Status, Task
+from armsight_control.solvers.workspace import Moving, nearest_reachable, reached
+
+_JOINT_2 = 1
+
+
+def _closed_form(task: Task) -> Found:
+    links, moving = links_of_report(task.chain), _moving(task)
+    if links is None or moving is None:
+        links_of(task.chain)  # says what is wrong with the chain, if that is it
+        raise SolverError("the closed form needs joint 2 at 0 or free, and all other joints free")
+    count = len(task.aims)
+    if moving == "all four":
+        q = redundant.solve(links, task.chain.limits, task.aims, task.starts, task.options.closed_form)
+    elif count == 1:
+        limits = task.chain.limits[list(REPORT_FREE)].tolist()
+        start = task.starts[0, list(REPORT_FREE)].tolist()
+        q = np.array([closed_form.solve_one(links, limits, task.aims[0].tolist(), start)])
+    else:
+        q = closed_form.solve_batch(links, task.aims, task.free_starts)
+    return Found(q, np.zeros(count, dtype=np.int64), np.ones(count, dtype=np.bool_))
+
+
+def _gradient_descent(task: Task) -> Found:
+    from armsight_control.solvers import gradient_descent  # takes seconds: it imports torch
+
+    if _moving(task) != "joint 2 at 0":
+        raise SolverError("the report's descent needs joint 2 at 0 and all other joints free")
+    links, limits = links_of(task.chain), task.chain.limits[list(REPORT_FREE)]
+    ends = [
+        gradient_descent.descend(links, limits, aim, start, task.options.gradient_descent)
+        for aim, start in zip(task.aims, task.free_starts, strict=True)
+    ]
+    q, iterations, met = zip(*ends, strict=True)
+    return Found(np.array(q), np.array(iterations, dtype=np.int64), np.array(met, dtype=np.bool_))
+
+
+def _torch(task: Task) -> Found:
+    from armsight_control.solvers import torch_descent
+
+    return torch_descent.solve(task)
+
+
+def _levenberg_marquardt(task: Task) -> Found:
+    from armsight_control.solvers import levenberg_marquardt
+
+    return levenberg_marquardt.solve(task)
+
+
+SOLVERS: dict[str, Callable[[Task], Found]] = {
+    "torch": _torch,
+    "gradient-descent": _gradient_descent,
+    "levenberg-marquardt": _levenberg_marquardt,
+    "closed-form": _closed_form,
+}
+
+BESIDE_THE_LOOP = frozenset({"torch", "gradient-descent", "levenberg-marquardt"})
+"""Too slow, or too slow to load, for the process that answers frames."""
+
+
+def check_solver(name: str) -> None:
+    """Refuses a name that no solver has.
+
+    Raises:
+        SolverError: with the names that there are.
+    """
+    if name not in SOLVERS:
+        raise SolverError(f"no solver {name!r}; there are {', '.join(SOLVERS)}")
+
+
+def solve(name: str, problem: Problem) -> Solution:
+    """Solves a problem.
+
+    Raises:
+        SolverError: no solver of that name, or the problem is not one that it solves.
+        UnsupportedArmError: the solver is for the report's arm, and the chain is not of its shape.
+    """
+    target, start = np.asarray(problem.target)[None], np.asarray(problem.start)[None]
+    return solve_batch(name, problem.chain, target, start, problem.free, problem.options)[0]
+
+
+def solve_batch(
+    name: str,
+    chain: Chain,
+    targets: Array,
+    starts: Array,
+    free: Sequence[int],
+    options: Options | None = None,
+) -> Solutions:
+    """Solves many targets at once.
+
+    Args:
+        name: the solver.
+        chain: the arm.
+        targets: (m, 3), base frame, metres.
+        starts: (m, n), all joints, radians; clamped to the limits.
+        free: indices of the joints that may move; the others stay at the start's values.
+        options: of all solvers.
+
+    Raises:
+        SolverError: no solver of that name, or the problem is not one that it solves.
+        UnsupportedArmError: the solver is for the report's arm, and the chain is not of its shape.
+    """
+    check_solver(name)
+    free = tuple(sorted(free))
+    check_free(chain, free)
+    targets, starts = _checked(chain, targets, starts)
+    groups = _alike(starts, free)
+    parts = [_solve_alike(name, chain, targets[rows], starts[rows], free, options or Options()) for rows in groups]
+    return parts[0] if len(parts) == 1 else _joined(parts, np.concatenate(groups))
+
+
+def _checked(chain: Chain, targets: Array, starts: Array) -> tuple[Array, Array]:
+    targets, starts = np.asarray(targets, dtype=np.float64), np.asarray(starts, dtype=np.float64)
+    if targets.ndim != 2 or targets.shape[1] != 3 or len(targets) == 0:
+        raise SolverError(f"targets of shape {targets.shape}: expected (m, 3) with m of at least 1")
+    if starts.shape != (len(targets), chain.count):
+        raise SolverError(f"starts of shape {starts.shape}: expected ({len(targets)}, {chain.count})")
+    if not (np.isfinite(targets).all() and np.isfinite(starts).all()):
+        good = np.isfinite(targets).all(axis=1) & np.isfinite(starts).all(axis=1)
+        raise SolverError(f"target {int(np.argmin(good))} or its start is not finite")
+    return targets, chain.clip(starts)
+
+
+def _alike(starts: Array, free: tuple[int, ...]) -> list[NDArray[np.int64]]:
+    """Rows that hold the joints that may not move at the same angles."""
+    held = starts[:, _held(starts.shape[1], free)]
+    if len(starts) == 1 or (held == held[0]).all():
+        return [np.arange(len(starts))]
+    _, group = np.unique(held, axis=0, return_inverse=True)
+    return [np.flatnonzero(group.ravel() == each) for each in range(group.max() + 1)]
+
+
+def _held(count: int, free: tuple[int, ...]) -> list[int]:
+    return [i for i in range(count) if i not in free]
+
+
+def _solve_alike(
+    name: str, chain: Chain, targets: Array, starts: Array, free: tuple[int, ...], options: Options
+) -> Solutions:
+    folded = fold(chain, free, tuple(starts[0, _held(chain.count, free)].tolist()))
+    task = Task(chain, folded, targets, starts, options)
+    aims, reachable = _aims(task)
+    found = SOLVERS[name](Task(chain, folded, aims, starts, options))
+    q = starts.copy()
+    q[:, free] = found.q
+    q = chain.clip(q)
+    tip = forward(chain, q[0])[None] if len(q) == 1 else forward(chain, q)
+    stationary = found.stationary if len(found.stationary) else np.zeros(len(q), dtype=np.bool_)
+    # where the reach is not known, what ends short of the target without a way nearer is at its edge
+    beyond = ~found.met & stationary if reachable is None else ~reachable
+    converged = found.met | beyond if reachable is None else found.met
+    return Solutions(
+        q=q,
+        tip=tip,
+        residual_m=np.linalg.norm(tip - targets, axis=1),
+        iterations=found.iterations,
+        status=tuple(
+            Status.UNREACHABLE if out else Status.CONVERGED if met else Status.STEP_LIMIT
+            for out, met in zip(beyond.tolist(), converged.tolist(), strict=True)
+        ),
+        converged=converged,
+        note=found.note,
+    )
+
+
+def _aims(task: Task) -> tuple[Array, NDArray[np.bool_] | None]:
+    """Where the tip can go, and for which targets that is the target; nothing where the reach is not known."""
+    moving = _moving(task)
+    if moving is None:
+        return task.aims, None
+    links = links_of_report(task.chain)
+    assert links is not None
+    within = reached(links, task.aims, moving)
+    if within.all():
+        return task.aims, within
+    aims = task.aims.copy()
+    for i in np.flatnonzero(~within):
+        x, y, _ = forward(task.chain, task.starts[i])
+        aims[i], within[i] = nearest_reachable(links, task.aims[i], math.atan2(y, x), moving)
+    return aims, within
+
+
+def _moving(task: Task) -> Moving | None:
+    """Which of the two sets of joints whose reach is known in closed form; none for other chains and sets."""
+    if links_of_report(task.chain) is None:
+        return None
+    if len(task.folded.free) == task.chain.count:
+        return "all four"
+    return "joint 2 at 0" if task.folded.free == REPORT_FREE and task.starts[0, _JOINT_2] == 0 else None
+
+
+@lru_cache(maxsize=16)
+def links_of_report(chain: Chain) -> Links | None:
+    """The lengths of a chain of the report's shape; nothing for another."""
+    try:
+        return links_of(chain)
+    except UnsupportedArmError:
+        return None
+
+
+def _joined(parts: Sequence[Solutions], order: NDArray[np.int64]) -> Solutions:
+    """Parts that were solved apart, in the order of their targets."""
+    back = np.argsort(order)
+    status = [each for part in parts for each in part.status]
+    return Solutions(
+        q=np.concatenate([part.q for part in parts])[back],
+        tip=np.concatenate([part.tip for part in parts])[back],
+        residual_m=np.concatenate([part.residual_m for part in parts])[back],
+        iterations=np.concatenate([part.iterations for part in parts])[back],
+        status=tuple(status[i] for i in back),
+        converged=np.concatenate([part.converged for part in parts])[back],
+        note=next((part.note for part in parts if part.note), ""),
+    )
