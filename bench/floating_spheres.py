@@ -12,7 +12,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
-from pictures import SAMPLES, SIZE, measure, mujoco
+from pictures import SAMPLES, SIZE, measure  # first: it chooses what MuJoCo draws with
+
+import mujoco  # isort: skip
 
 from armsight_sim import description
 from armsight_sim.cameras import Cameras

@@ -10,7 +10,9 @@ import json
 import sys
 
 import numpy as np
-from pictures import SAMPLES, SIZE, measure, mujoco
+from pictures import SAMPLES, SIZE, measure  # first: it chooses what MuJoCo draws with
+
+import mujoco  # isort: skip
 
 from armsight_operator.report.chain import arm_of
 from armsight_operator.report.markers import CHI2_95, Sample, samples_of
