@@ -416,7 +416,9 @@ std::optional<Attempt> Pipeline::State::at_once(std::size_t marker, std::int64_t
     if (views_seen < 2) return std::nullopt;
     std::optional<Eigen::Vector3d> start;
     if (is_partial) {
-        start = tracks[marker].predict(capture_ns)->position;
+        const auto expected = tracks[marker].predict(capture_ns);
+        if (!expected) return std::nullopt;
+        start = expected->position;
     } else {
         PoolVector<Ray> rays;
         rays.reserve(views_seen);

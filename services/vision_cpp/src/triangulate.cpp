@@ -117,7 +117,7 @@ class SphereFit {
         const double unit_weight = 1.0 / (sigma_px * sigma_px);
         Eigen::Matrix3d matrix = Eigen::Matrix3d::Zero();
         Eigen::Vector3d right = Eigen::Vector3d::Zero();
-        Eigen::Matrix3d shifts = Eigen::Matrix3d::Zero();
+        Eigen::Matrix3d shifts = Eigen::Matrix3d::Zero();  // NOLINT(misc-const-correctness): if constexpr
         for (const EdgePoint& point : view.outline) {
             const Opening opening(point.ray, sight.axis);
             const double r = (opening.angle - sight.half_angle) * point.pixels_per_radian;
