@@ -155,6 +155,7 @@ struct Pipeline::State {
     void look_closely(std::size_t marker);
     void refine(std::size_t marker, const Eigen::Vector3d& position, Outlined shape = Outlined::Round);
     [[nodiscard]] bool is_where_searched(std::size_t marker, const Eigen::Vector3d& position) const;
+    [[nodiscard]] PoolVector<Ray> rays() const;
     [[nodiscard]] PoolVector<View> views() const;
     [[nodiscard]] PoolVector<Eigen::Vector3d> starts(std::size_t marker, std::int64_t capture_ns) const;
     [[nodiscard]] std::optional<Fix> fit(std::size_t marker, const Eigen::Vector3d& start, std::int64_t capture_ns);
@@ -289,6 +290,14 @@ void Pipeline::State::refine(std::size_t marker, const Eigen::Vector3d& position
     std::erase_if(sightings, is_hidden);
 }
 
+// Through the middles of all sightings.
+PoolVector<Ray> Pipeline::State::rays() const {
+    PoolVector<Ray> result;
+    result.reserve(sightings.size());
+    for (const Sighting& s : sightings) result.push_back(world_ray(*frames[s.frame].camera, s.centre));
+    return result;
+}
+
 PoolVector<View> Pipeline::State::views() const {
     PoolVector<View> result;
     result.reserve(sightings.size());
@@ -312,17 +321,16 @@ PoolVector<View> Pipeline::State::views() const {
 // an edge was mistaken for the sphere's outline spoils the first, but not what the others say by themselves.
 PoolVector<Eigen::Vector3d> Pipeline::State::starts(std::size_t marker, std::int64_t capture_ns) const {
     PoolVector<Eigen::Vector3d> result;
-    PoolVector<Ray> rays;
-    rays.reserve(sightings.size());
-    for (const Sighting& s : sightings) rays.push_back(world_ray(*frames[s.frame].camera, s.centre));
-    if (const auto point = triangulate(rays)) result.push_back(*point);
+    const auto towards = rays();
+    if (const auto point = triangulate(towards)) result.push_back(*point);
     for (std::size_t i = 0; i < sightings.size(); ++i) {
         const auto& cone = sightings[i].cone;
         if (!cone) continue;
-        result.emplace_back(rays[i].origin + markers[marker].radius / std::sin(cone->half_angle) * rays[i].direction);
+        const Ray& ray = towards[i];
+        result.emplace_back(ray.origin + markers[marker].radius / std::sin(cone->half_angle) * ray.direction);
     }
-    if (const auto prior = tracks[marker].predict(capture_ns); prior && result.empty() && !rays.empty()) {
-        const Ray& ray = rays.front();
+    if (const auto prior = tracks[marker].predict(capture_ns); prior && result.empty() && !towards.empty()) {
+        const Ray& ray = towards.front();
         const double along = std::max(ray.direction.dot(prior->position - ray.origin), 2.0 * markers[marker].radius);
         result.emplace_back(ray.origin + along * ray.direction);
     }
@@ -409,27 +417,16 @@ bool Pipeline::State::is_where_searched(std::size_t marker, const Eigen::Vector3
     });
 }
 
-// The usual case, and the quick one: where the marker is expected, or where the middles of all patches meet, the
-// sphere's outline is seen in all views.
+// The usual case, and the quick one: where the middles of all patches meet, the sphere's outline is seen in all views.
+// What was known before is not asked: the answer is the same whether patches were looked for there or everywhere.
 std::optional<Attempt> Pipeline::State::at_once(std::size_t marker, std::int64_t capture_ns) {
     const std::size_t views_seen = sightings.size();
-    if (views_seen < 2) return std::nullopt;
-    std::optional<Eigen::Vector3d> start;
-    if (is_partial) {
-        const auto expected = tracks[marker].predict(capture_ns);
-        if (!expected) return std::nullopt;
-        start = expected->position;
-    } else {
-        PoolVector<Ray> rays;
-        rays.reserve(views_seen);
-        for (const Sighting& s : sightings) rays.push_back(world_ray(*frames[s.frame].camera, s.centre));
-        start = triangulate(rays);
-        if (!start) return std::nullopt;
-        refine(marker, *start, Outlined::Sparse);
-        if (sightings.size() < views_seen) return std::nullopt;
-        start = rough_sphere(views(), markers[marker].radius, *start);
-        if (!start) return std::nullopt;
-    }
+    const auto middle = triangulate(rays());
+    if (!middle) return std::nullopt;
+    refine(marker, *middle, Outlined::Sparse);
+    if (sightings.size() < views_seen) return std::nullopt;
+    const auto start = rough_sphere(views(), markers[marker].radius, *middle);
+    if (!start) return std::nullopt;
     auto result = settle(marker, *start, capture_ns);
     if (result && result->views == views_seen && !is_where_searched(marker, result->fix.position)) {
         result = settle(marker, result->fix.position, capture_ns);

@@ -46,7 +46,7 @@ struct Sight {
     double half_angle;
 
     Sight(const Camera& camera, const Eigen::Vector3d& position, double radius)
-        : axis(camera.T_world_camera.linear().transpose() * (position - camera.T_world_camera.translation())),
+        : axis(camera.T_world_camera.inverse() * position),
           distance(axis.norm()),
           half_angle(distance > radius ? std::asin(radius / distance) : 0.0) {
         axis /= distance;
