@@ -405,16 +405,13 @@ def test_queries_answer_and_refuse_with_a_text(rig: Rig) -> None:
     assert '"solver": "closed-form"' in rig.bus.query(PARAMETERS, PARAMETERS.request(), "control").json
 
 
-def test_many_targets_are_answered_in_their_order_in_one_reply(rig: Rig) -> None:
-    rig.start("--solver", "torch")
-    rig.reset(np.zeros(4))
-    targets = [Vector3(x=3.6, y=1.2, z=7.5), Vector3(x=9.0, z=4.0), Vector3(x=-2.0, y=2.0, z=8.0)]
+def solved_once_loaded(rig: Rig, request: SolveIkRequest) -> SolveIkResponse:
+    """Until the solver is there it refuses, and says why."""
     answers: list[SolveIkResponse] = []
     refusals: list[str] = []
 
     def answered() -> bool:
         try:
-            request = SolveIkRequest(targets=targets, free=rig.arm.chain.names)
             answers.append(rig.bus.query(SOLVE_IK, request, timeout_s=10))
         except RefusedError as refused:
             refusals.append(str(refused))
@@ -422,7 +419,15 @@ def test_many_targets_are_answered_in_their_order_in_one_reply(rig: Rig) -> None
 
     rig.until(answered, 90)
     assert all("solver loading" in refusal or "busy" in refusal for refusal in refusals)
-    solutions = answers[0].solutions
+    return answers[0]
+
+
+def test_many_targets_are_answered_in_their_order_in_one_reply(rig: Rig) -> None:
+    rig.start("--solver", "torch")
+    rig.reset(np.zeros(4))
+    targets = [Vector3(x=3.6, y=1.2, z=7.5), Vector3(x=9.0, z=4.0), Vector3(x=-2.0, y=2.0, z=8.0)]
+    answer = solved_once_loaded(rig, SolveIkRequest(targets=targets, free=rig.arm.chain.names))
+    solutions = answer.solutions
     assert [each.status for each in solutions] == [IK_STATUS_CONVERGED, IK_STATUS_UNREACHABLE, IK_STATUS_CONVERGED]
     assert solutions[1].residual_m == pytest.approx(3.0, abs=1e-3)
     for target, solution in zip(targets, solutions, strict=True):
@@ -435,21 +440,10 @@ def test_a_descent_by_query_is_the_reports_whatever_solver_is_in_force(rig: Rig)
     rig.start("--max-steps", "20000")
     rig.reset(np.zeros(4))
     request = SolveIkRequest(target=Vector3(x=3.6, y=1.2, z=7.5), solver="gradient-descent")
-    answers: list[SolveIkResponse] = []
-    refusals: list[str] = []
-
-    def answered() -> bool:
-        try:
-            answers.append(rig.bus.query(SOLVE_IK, request, timeout_s=10))
-        except RefusedError as refused:
-            refusals.append(str(refused))
-        return bool(answers)
-
-    rig.until(answered, 90)
-    assert all("solver loading" in refusal or "busy" in refusal for refusal in refusals)
-    assert answers[0].status == IK_STATUS_CONVERGED
-    assert 1e-6 < answers[0].residual_m < 0.015
-    assert answers[0].iterations > 10
+    answer = solved_once_loaded(rig, request)
+    assert answer.status == IK_STATUS_CONVERGED
+    assert 1e-6 < answer.residual_m < 0.015
+    assert answer.iterations > 10
 
 
 def test_health_has_rate_and_latency_and_it_ends_on_sigterm_at_once(rig: Rig) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -156,7 +157,7 @@ def _solve_alike(
     folded = fold(chain, free, tuple(starts[0, _held(chain.count, free)].tolist()))
     task = Task(chain, folded, targets, starts, options)
     aims, reachable = _aims(task)
-    found = SOLVERS[name](Task(chain, folded, aims, starts, options))
+    found = SOLVERS[name](replace(task, aims=aims))
     q = starts.copy()
     q[:, free] = found.q
     q = chain.clip(q)
