@@ -19,16 +19,28 @@ constexpr double kTukey = 4.685;              // 95 % efficient for normal error
 // Spread of edge points that no fit goes below: quantisation to 8 bits, 16 sub-pixel positions at 4 samples.
 constexpr double kMinSigmaPx = 0.05;
 constexpr double kStartSigmaPx = 0.5;  // before the spread is known
+constexpr double kPerMedian = 1.4826;  // from the median of absolute values to the standard deviation of normal errors
+constexpr double kOutlier = 4.0;       // standard deviations; one normal error in 16,000 is larger
 // Errors of neighbouring edge points go together (both come from the same facets and samples): independent errors of
 // the same spread would make the covariance this much too small. This and the shifts of views were measured on renders
 // with 0 and 4 samples.
 constexpr double kCorrelation = 1.2;
 constexpr double kMaxConditionedVariance = 1e4;  // m^2; beyond it the position is not determined
 
-double median(PoolVector<double>& values) {
-    const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    return *middle;
+// Standard deviation of normal errors whose absolute values these are, whatever lies among them that is none: where a
+// sphere sinks into a bright body, a third of its edge points are not on its outline, and all on one side. Sorts.
+double spread_of(std::span<double> sizes) {
+    double sigma = 0.0;
+    for (std::size_t count = 0; count != sizes.size();) {
+        count = sizes.size();
+        const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(count / 2);
+        std::nth_element(sizes.begin(), middle, sizes.end());
+        sigma = kPerMedian * *middle;
+        const double cutoff = kOutlier * sigma;
+        const auto outliers = std::partition(middle, sizes.end(), [&](double size) { return size <= cutoff; });
+        sizes = {sizes.begin(), outliers};
+    }
+    return sigma;
 }
 
 // Gauss-Newton's equations, and what the covariance needs beside them.
@@ -76,8 +88,7 @@ class SphereFit {
             position += step;
             const double previous = sigma_px_;
             if (residuals_.size() > 6) {
-                // 1.4826: from the median of absolute values to the standard deviation of normal errors
-                sigma_px_ = std::clamp(1.4826 * median(residuals_), kMinSigmaPx, kStartSigmaPx);
+                sigma_px_ = std::clamp(spread_of(residuals_), kMinSigmaPx, kStartSigmaPx);
             }
             if (step.norm() < tolerance && std::abs(sigma_px_ - previous) < 0.01 * sigma_px_) break;
         }

@@ -128,6 +128,28 @@ TEST(FitSphere, WildEdgePointsMoveItLittle) {
     EXPECT_LT((fix->position - centre).norm(), 0.003);
 }
 
+TEST(FitSphere, WhereASphereSinksIntoABrightBodyTheSpreadIsThatOfTheOthers) {
+    const Camera front = testing::front_camera();
+    const Camera side = testing::side_camera();
+    const Eigen::Vector3d centre(0.0, 0.0, 0.5);
+    std::mt19937 generator(5);
+    auto a = outline(front, centre, 0.8, 90, 0.1, generator);
+    auto b = outline(side, centre, 0.8, 90, 0.1, generator);
+    const auto undisturbed = fit_sphere(std::vector<View>{view(front, a), view(side, b)}, 0.8, centre);
+    ASSERT_TRUE(undisturbed);
+    for (auto* points : {&a, &b}) {
+        for (std::size_t i = 0; i < 30; ++i) {  // the body's border leaves the outline and comes back to it
+            EdgePoint& point = (*points)[i];
+            const double inwards = 4.0 * std::sin(std::numbers::pi * static_cast<double>(i) / 30.0);
+            const Eigen::Vector3d axis = ((*points)[0].ray + (*points)[45].ray).normalized();
+            point.ray = (point.ray - inwards / point.pixels_per_radian * (point.ray - axis).normalized()).normalized();
+        }
+    }
+    const auto fix = fit_sphere(std::vector<View>{view(front, a), view(side, b)}, 0.8, centre);
+    ASSERT_TRUE(fix);
+    EXPECT_NEAR(fix->sigma_px, undisturbed->sigma_px, 0.25 * undisturbed->sigma_px);
+}
+
 TEST(FitSphere, NothingDeterminedGivesNothing) {
     const Camera front = testing::front_camera();
     const std::vector<View> none{view(front, {})};
