@@ -67,6 +67,13 @@ def test_arm_follows_its_target_in_containers(compose: Compose) -> None:
     assert status["rate_hz"] > 5
 
 
+def test_the_solvers_run_compiled_though_the_image_has_no_compiler(compose: Compose) -> None:
+    ask = "from armsight_control.solvers.packages import prepare; print(*prepare(), sep='\\n')"
+    backends, trouble = compose("exec", "-T", "control", "python3", "-c", ask).split("\n")[:2]
+    assert trouble == ""
+    assert backends.count("compiled") == len(backends.split(", ")) == 4
+
+
 @pytest.mark.parametrize("victim", ["router", "sim", "vision", "control"])
 def test_killed_container_comes_back_and_the_arm_goes_on(compose: Compose, victim: str) -> None:
     compose.wait_until_it_follows(60)

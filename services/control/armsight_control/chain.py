@@ -1,6 +1,7 @@
 """A serial chain of revolute joints, as arrays."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ class Point:
     """In that joint's frame, metres."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Chain:
     """Joints in order from the base; lengths in metres, angles in radians. Equal where all values are: it can be a key.
 
@@ -37,11 +38,12 @@ class Chain:
     tip: Point
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Chain) and self._values() == other._values()
+        return isinstance(other, Chain) and self._values == other._values
 
     def __hash__(self) -> int:
-        return hash(self._values())
+        return hash(self._values)
 
+    @cached_property
     def _values(self) -> tuple[object, ...]:
         arrays = (self.origins, self.axes, self.limits, self.max_speed, self.tip.position)
         return self.names, self.tip.joint, *(array.tobytes() for array in arrays)

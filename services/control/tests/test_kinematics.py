@@ -115,6 +115,7 @@ def test_a_folded_chain_moves_its_free_joints_and_keeps_the_others(rng: np.rando
     tip, _ = torch_kinematics.tip_and_columns(turns, torch_kinematics.links_of(folded, torch.float64))
     np.testing.assert_allclose(torch.stack(tip, dim=-1).numpy(), folded.to_first(forward(chain, q)), atol=1e-12)
     slopes = np.linalg.norm(jacobian(chain, q), axis=1)[:, free]
+    np.testing.assert_allclose(folded.tips(q[:, free]), forward(chain, q), atol=1e-12)
     assert (slopes <= folded.levers + 1e-12).all(), "no joint moves the tip faster than its lever says"
     assert (slopes.max(axis=0) > 0.1 * folded.levers).all()
 

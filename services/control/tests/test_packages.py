@@ -10,7 +10,7 @@ import torch
 
 from armsight_control.solvers import blocks, packages
 from armsight_control.solvers.compile import compile_block
-from armsight_control.solvers.packages import Baseline, block, describe, path_of, refusal_of
+from armsight_control.solvers.packages import Baseline, block, describe, path_of, refusal_of, superseded
 
 ANY_CPU = Baseline("x86-64", 128, ())
 
@@ -65,6 +65,14 @@ def test_the_name_of_a_package_changes_with_the_source_it_was_made_from(
     monkeypatch.setattr(blocks, "__file__", str(other))
     assert path_of("descent", 3, tmp_path) != before
     assert torch.__version__ in before.name
+
+
+def test_packages_of_another_source_or_torch_are_superseded(tmp_path: Path, package: Path) -> None:
+    old = tmp_path / package.name.replace("torch", "torch1.0.")
+    old.write_bytes(b"")
+    describe(old, ANY_CPU)
+    (tmp_path / "notes.json").write_text("{}")
+    assert sorted(superseded(tmp_path)) == sorted([old, old.with_suffix(".json")])
 
 
 @pytest.mark.long

@@ -1,7 +1,7 @@
 """Compiles the solvers' blocks ahead of time: `python -m armsight_control.solvers.compile`.
 
 Whoever runs a solver then waits for no compiler and needs none. It takes minutes and a C++ compiler; packages that are
-there already, for this torch and this source, are kept.
+there already, for this torch and this source, are kept, others removed.
 """
 
 import argparse
@@ -30,6 +30,7 @@ from armsight_control.solvers.packages import (
     inductor_options,
     path_of,
     refusal_of,
+    superseded,
 )
 
 _MOST_COLUMNS = 1 << 24
@@ -96,6 +97,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(f"compile: {error}", file=sys.stderr)
                 return 1
             print(f"{path.name}: {perf_counter() - began:.0f} s", flush=True)
+    for path in superseded(options.folder):
+        path.unlink()
     return 0
 
 

@@ -46,12 +46,11 @@ class Ends:
 def solve(task: Task) -> Found:
     """Solves a task."""
     options, folded = task.options.levenberg_marquardt, task.folded
-    with torch.inference_mode():
-        run = block("damped", len(folded.free), options.compile_on_demand)
-        aims, own = folded.to_first(task.aims), task.free_starts + folded.offsets
-        most = math.ceil(options.max_steps / DAMPED_STEPS)
-        ends = refine(run, folded, aims, own, options.tolerance_m, options.damping, most)
-        ends = restarted(run, folded, aims, own, ends, ~ends.met, options)
+    run = block("damped", len(folded.free), options.compile_on_demand)
+    aims, own = folded.to_first(task.aims), task.free_starts + folded.offsets
+    most = math.ceil(options.max_steps / DAMPED_STEPS)
+    ends = refine(run, folded, aims, own, options.tolerance_m, options.damping, most)
+    ends = restarted(run, folded, aims, own, ends, ~ends.met, options)
     return Found(ends.u - folded.offsets, ends.calls * DAMPED_STEPS, ends.met, ends.stationary, run.trouble)
 
 
@@ -139,16 +138,16 @@ def refine(
     count = len(aims)
     fill = -count % _LANES
     target = _columns(aims, fill)
-    state, damped = _columns(u, fill), torch.full((count + fill,), damping, dtype=torch.float64)
+    state, damped = _columns(u, fill), torch.from_numpy(np.full(count + fill, damping))
     links, bounds, scalars = _constants(folded, tolerance_m)
-    flat = (_FLAT * float(folded.levers.max())) ** 2
+    flat, enough = (_FLAT * folded.levers.max()) ** 2, tolerance_m**2
     calls = np.zeros(count, dtype=np.int64)
     going = np.ones(count, dtype=np.bool_)
     while True:
         state, damped, squared, slope = run.call((state, damped, target, links, bounds, scalars))
-        calls[going] += 1
+        calls += going
         error2 = squared.numpy()[:count]
-        met = error2 <= tolerance_m**2
+        met = error2 <= enough
         if met.all():
             return Ends(state.numpy()[:, :count].T.copy(), np.sqrt(error2), met, ~met, calls)
         stationary = ~met & (slope.numpy()[:count] <= flat * error2)

@@ -43,10 +43,12 @@ class TorchOptions:
     """Of the speed, kept from step to step; heavier overshoots, lighter takes more steps."""
     step: float = 3.0
     """In units of 1 / (joints x lever²) per joint, the largest that surely descends: most poses bear more."""
-    descent_m: float = 0.004
-    """Where the descent ends: below the 5 mm that a solution is judged by, where the last steps converge at once."""
+    descent_m: float = 0.05
+    """Where the descent ends and the last steps take over, which converge at once from there."""
+    accept_m: float = 0.004
+    """What counts as at the target: below the 5 mm that a solution is judged by."""
     tolerance_m: float = 1e-6
-    """Where the last steps end: a thousandth of what vision can tell."""
+    """Where the last steps end if they get there: a thousandth of what vision can tell."""
     follow_m: float = 1.0
     """A start this near to its target is followed down its own branch before another's solution is taken."""
     max_steps: int = 1000
@@ -62,7 +64,8 @@ class TorchOptions:
         _check("momentum", self.momentum, -1e-12, 0.999)
         _check("step", self.step, 0, 10)
         _check("descent_m", self.descent_m, 0, 1)
-        _check("tolerance_m", self.tolerance_m, 0, self.descent_m)
+        _check("accept_m", self.accept_m, 0, 1)
+        _check("tolerance_m", self.tolerance_m, 0, min(self.accept_m, self.descent_m))
         _check("follow_m", self.follow_m, 0, 1e3)
         _check_count("max_steps", self.max_steps, 1, 100_000)
         _check_count("seed", self.seed, 0, 2**31)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Literal
 
 import torch
@@ -74,9 +75,19 @@ class Block:
 
 def path_of(kind: Kind, joints: int, folder: Path = COMPILED) -> Path:
     """Where the package for so many free joints lies: its name has the version of torch and of the source in it."""
+    return folder / f"{kind}-{joints}-{_versions()}.pt2"
+
+
+def superseded(folder: Path) -> list[Path]:
+    """Packages of another torch or source, and what lies beside them."""
+    found = [path for suffix in (".pt2", ".json") for path in folder.glob(f"*-torch*{suffix}")]
+    return [path for path in found if not path.stem.endswith(f"-{_versions()}")]
+
+
+def _versions() -> str:
     sources = (blocks.__file__, torch_kinematics.__file__)
     digest = hashlib.sha256(b"".join(Path(source).read_bytes() for source in sources if source)).hexdigest()[:12]
-    return folder / f"{kind}-{joints}-torch{torch.__version__}-{digest}.pt2"
+    return f"torch{torch.__version__}-{digest}"
 
 
 @lru_cache(maxsize=32)
@@ -96,11 +107,13 @@ def block(kind: Kind, joints: int, on_demand: bool = False, folder: Path = COMPI
         try:
             return Block(_load(path), "compiled")
         except RuntimeError as error:
-            refusal = f"its package can't be loaded ({str(error).splitlines()[0]}); {MAKE}"
+            said = str(error).splitlines()[0]
+            refusal = f"its package can't be loaded ({said}); let programs run from {gettempdir()}, or {MAKE}"
     if on_demand:
         compiled = torch.compile(module, fullgraph=True, dynamic=True)
         return Block(lambda tensors: compiled(*tensors), "torch.compile")
-    return Block(lambda tensors: module(*tensors), "eager", f"{kind} for {joints} joints runs uncompiled: {refusal}")
+    eager = torch.inference_mode()(module)
+    return Block(lambda tensors: eager(*tensors), "eager", f"{kind} for {joints} joints runs uncompiled: {refusal}")
 
 
 def prepare() -> tuple[str, str]:

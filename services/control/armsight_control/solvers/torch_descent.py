@@ -44,20 +44,19 @@ _LEAST_LEVER_M = 1e-3
 def solve(task: Task) -> Found:
     """Solves a task."""
     options, folded = task.options.torch, task.folded
-    with torch.inference_mode():
-        descent = block("descent", len(folded.free), options.compile_on_demand)
-        damped = block("damped", len(folded.free), options.compile_on_demand)
-        aims, own = folded.to_first(task.aims), task.free_starts + folded.offsets
-        count = options.starts if len(aims) < _BATCH_FROM else min(options.starts, _BATCH_STARTS)
-        u, met, calls = _descend(descent, folded, aims, own, count, options)
-        if count < options.starts and not met.all():
-            left = np.flatnonzero(~met)
-            u[left], met[left], more = _descend(descent, folded, aims[left], own[left], options.starts, options)
-            calls[left] += more
-        ends = _polish(damped, folded, aims, u, options)
-        missed = ends.error_m > options.descent_m
-        ends = restarted(damped, folded, aims, own, ends, missed, task.options.levenberg_marquardt)
-    at_aim = ends.error_m <= options.descent_m
+    descent = block("descent", len(folded.free), options.compile_on_demand)
+    damped = block("damped", len(folded.free), options.compile_on_demand)
+    aims, own = folded.to_first(task.aims), task.free_starts + folded.offsets
+    count = options.starts if len(aims) < _BATCH_FROM else min(options.starts, _BATCH_STARTS)
+    u, met, calls = _descend(descent, folded, aims, own, count, options)
+    if count < options.starts and not met.all():
+        left = np.flatnonzero(~met)
+        u[left], met[left], more = _descend(descent, folded, aims[left], own[left], options.starts, options)
+        calls[left] += more
+    ends = _polish(damped, folded, aims, u, options)
+    missed = ends.error_m > options.accept_m
+    ends = restarted(damped, folded, aims, own, ends, missed, task.options.levenberg_marquardt)
+    at_aim = ends.error_m <= options.accept_m
     return Found(
         q=ends.u - folded.offsets,
         iterations=calls * DESCENT_STEPS + ends.calls * DAMPED_STEPS,
@@ -82,7 +81,7 @@ def _descend(
     begin[:, :, 0] = own.T
     begin[:, :, 1:] = spread(folded, count - 1, options.seed).T[:, None]
     u = torch.from_numpy(begin.reshape(n, m * count))
-    v = torch.zeros_like(u)
+    v = torch.from_numpy(np.zeros((n, m * count), dtype=np.float32))
     target = torch.from_numpy(np.repeat(aims.T.astype(np.float32), count, axis=1))
     best, met, calls = own.copy(), np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.int64)
     rows, followed = np.arange(m), np.zeros(m, dtype=np.bool_)
