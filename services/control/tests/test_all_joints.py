@@ -92,6 +92,16 @@ def other_arm(seed: int) -> Arm:
     return Arm("other", chain, markers, np.eye(3), np.zeros(3))
 
 
+@pytest.mark.parametrize("late", [0, 1, 2])
+def test_a_pose_that_is_set_counts_from_its_first_frame_whenever_the_setpoint_tells(arm: Arm, late: int) -> None:
+    """A small one, which a command could have caused: the setpoint says so some frames after the cameras, or first."""
+    before, after = np.array([0.2, 0.1, 0.9, -0.5]), np.array([0.1, 0.2, 0.75, -0.35])
+    path = np.array([before] * 5 + [after] * 5)
+    setpoints = np.array([before] * (5 + late) + [after] * (5 - late))
+    outcomes = follow(arm, path, Cameras(arm, 7), setpoints=setpoints)
+    assert np.abs(angles(outcomes) - path).max() < 0.03
+
+
 @pytest.mark.parametrize("which", ["report's", "other"])
 def test_points_are_those_of_kinematics_and_jacobians_those_of_finite_differences(
     which: str, arm: Arm, rng: np.random.Generator

@@ -47,7 +47,7 @@ _MANOEUVRE_RAD_S2 = 20.0
 # A candidate must explain the markers so much better for the prediction to be left, and is as good as another within
 # that much: chi squared both.
 _FAR_BETTER, _AS_GOOD = 50.0, 9.0
-# What is nearer is no other branch but a marker that is wrong, and its neighbours tell.
+# What is nearer is no other branch but a marker that is wrong, unless several deny the prediction and all agree.
 _ELSEWHERE_RAD = 0.3
 # What candidates start with: nothing known, but no direction left open.
 _UNKNOWN_RAD = 10.0
@@ -112,8 +112,7 @@ class AllJoints:
                 prior, best = loose, again
             else:
                 found = self._found(positions, readings, prior, setpoint)
-                elsewhere = np.abs(found.q - best.q).max() > _ELSEWHERE_RAD
-                if elsewhere and found.misfit + _FAR_BETTER < best.misfit:
+                if self._is_wrong(best, found, readings):
                     restarted = True
                     prior = at_rest(found.q, _START_RAD, _START_RAD_S)
                     best = self._fit(readings, prior)
@@ -151,6 +150,14 @@ class AllJoints:
     def _fit(self, readings: Readings, prior: Moving) -> Fit:
         belief = Belief(prior.q, _inverse(prior.angles_covariance))
         return fit(self._model, readings, belief, self._chain.clip(prior.q), 1 / _READINGS_WORTH_ONE, _STEPS)
+
+    def _is_wrong(self, best: Fit, found: Fit, readings: Readings) -> bool:
+        """Whether what was predicted has to be left for what the markers alone say."""
+        off = readings.points - best.placed.points[readings.rows]
+        denied = np.einsum("mi,mij,mj->m", off, readings.weights, off) > _GATE
+        agree = denied.sum() > 1 and found.misfit <= _GATE * len(readings.rows)
+        elsewhere = np.abs(found.q - best.q).max() > _ELSEWHERE_RAD
+        return bool((agree or elsewhere) and found.misfit + _FAR_BETTER < best.misfit)
 
     def _found(self, positions: Positions, readings: Readings, prior: Moving, setpoint: Array) -> Fit:
         """The fit from the candidate that explains the markers best; among equals the nearest to the setpoint."""
