@@ -1,4 +1,4 @@
-"""Keeps the solver at what `track` wants: one solve at a time, always for the newest target."""
+"""Keeps the solver at what `track` and `follow` want: one solve at a time, always for the newest target."""
 
 import threading
 from collections import deque
@@ -8,7 +8,7 @@ from time import monotonic, sleep
 import numpy as np
 
 from armsight.times import from_timestamp
-from armsight.v1.control_pb2 import CONTROL_MODE_TRACK
+from armsight.v1.control_pb2 import CONTROL_MODE_FOLLOW, CONTROL_MODE_TRACK
 from armsight.v1.joints_pb2 import JointPositions
 from armsight_control.errors import ControlError
 from armsight_control.loop import Loop
@@ -49,10 +49,11 @@ class Pursuit:
 
     def catch_up(self, positions: JointPositions, stop: threading.Event) -> None:
         """Waits for the solution of the present target, so that runs in lockstep repeat; bounded."""
-        if self._loop.mode != CONTROL_MODE_TRACK:
+        if self._loop.mode not in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW):
             return
         until = monotonic() + _MOST_WAIT_S
-        self._await_target(from_timestamp(positions.capture_time))
+        if self._loop.mode == CONTROL_MODE_TRACK:
+            self._await_target(from_timestamp(positions.capture_time))
         if self._job is not None and not self._finish(until, stop):
             return
         self._ask()

@@ -1,0 +1,200 @@
+"""Motion at its bars: sim's physics and control's loop in one process, and the whole stack in lockstep."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from in_process import BASE, Bench, Moment, Vector, rms
+
+from armsight import topics
+from armsight.bus import Received
+from armsight.times import NS_PER_S, from_timestamp
+from armsight.v1.control_pb2 import (
+    CONTROL_STATE_HOLDING,
+    CONTROL_STATE_MOVING,
+    SAFETY_CODE_BODY_LOST,
+    SAFETY_CODE_SLOWED_FOR_BODY,
+    ControlStatus,
+)
+from armsight.v1.safety_pb2 import StopSource, StopState
+from armsight_control.movement import KEEP_M, MotionOptions
+from armsight_sim.targets import TARGETS
+from armsight_sim.world import load_model
+from rig import Rig
+
+START = "2024-05-01T12:00:00Z"
+
+
+def target_at(name: str, t: float) -> Vector:
+    frame, point = TARGETS[name]
+    return np.array(point(t)) - (BASE if frame == "world" else 0.0)
+
+
+def tip_errors(moments: list[Moment], target: str) -> Vector:
+    return np.array([np.linalg.norm(moment.tip - target_at(target, moment.t)) for moment in moments])
+
+
+def beside_errors(moments: list[Moment]) -> Vector:
+    """From the nearer of the two points 1 m from the sphere's centre, on the line to the shoulder."""
+    errors = []
+    for moment in moments:
+        centre, shoulder = target_at("visible", moment.t), np.array([0.0, 0.0, 4.0])
+        along = (centre - shoulder) / np.linalg.norm(centre - shoulder)
+        errors.append(min(np.linalg.norm(moment.tip - centre - side * along) for side in (-1, 1)))
+    return np.array(errors)
+
+
+def assert_bounds(bench: Bench) -> None:
+    """No command breaks position, speed or acceleration, by differences of what was sent."""
+    limits, before, speed = bench.limits, None, np.zeros(4)
+    for moment in bench.moments:
+        command = moment.command
+        if command is None or before is None:
+            before, speed = command, np.zeros(4)
+            continue
+        now = (command - before) * 30
+        assert np.abs(now).max() <= 5 * limits.speed_share + 1e-6
+        assert np.abs(now - speed).max() <= limits.acceleration_rad_s2 / 30 + 1e-5 or not speed.any()
+        before, speed = command, now
+
+
+@pytest.mark.parametrize("free", ["3", "all"])
+def test_the_tip_keeps_up_with_the_default_target(free: str) -> None:
+    bench = Bench("track", "default", motion=MotionOptions(free_joints=free))
+    bench.run(2)
+    assert rms(tip_errors(bench.run(8), "default")) < 0.002
+    assert_bounds(bench)
+
+
+def test_the_tip_keeps_up_with_the_exercises_target_where_it_is_reached_and_says_where_not() -> None:
+    bench = Bench("track", "exercise")
+    moments = bench.run(12)
+    reached = np.array([moment.status.target_reachable for moment in moments])
+    errors = tip_errors(moments, "exercise")
+    settled = np.arange(len(moments)) > 100
+    assert 0.2 < reached.mean() < 0.8
+    assert rms(errors[reached & settled]) < 0.02
+    for moment in moments:
+        assert moment.status.target_reachable != ("out of reach" in moment.status.detail)
+    assert_bounds(bench)
+
+
+@pytest.mark.parametrize("error", [0.01, -0.01])
+def test_an_arm_whose_links_are_not_as_described_reaches_the_target_as_seen(error: float) -> None:
+    bench = Bench("track", "default", model_error=error, sigma_m=0.002, seed=7)
+    bench.run(3)
+    moments = bench.run(5)
+    assert rms(tip_errors(moments, "default")) < 0.005
+    correction = moments[-1].status.correction
+    assert 0.03 < np.linalg.norm([correction.x, correction.y, correction.z]) < 0.12
+    assert_bounds(bench)
+
+
+@pytest.mark.parametrize("free", ["3", "all"])
+def test_the_tip_stays_a_metre_from_the_sphere_wherever_that_is_reached(free: str) -> None:
+    bench = Bench("follow", sigma_m=0.003, motion=MotionOptions(free_joints=free), seed=3)
+    bench.run(3)
+    moments = bench.run(6)
+    assert all(moment.status.target_reachable for moment in moments)
+    assert rms(beside_errors(moments)) < 0.04
+    assert_bounds(bench)
+
+
+def test_a_sphere_that_vanishes_is_foreseen_briefly_and_then_waited_for() -> None:
+    bench = Bench("follow", lost=lambda t, name: name == "target_sphere" and 4 <= t < 7)
+    bench.run(4)
+    foreseen, waiting, again = bench.run(0.9), bench.run(2.1), bench.run(3)
+    assert rms(beside_errors(foreseen)) < 0.04
+    assert all(moment.status.state == CONTROL_STATE_MOVING for moment in foreseen)
+    last = waiting[-1]
+    assert (last.status.state, last.status.safety) == (CONTROL_STATE_HOLDING, SAFETY_CODE_BODY_LOST)
+    assert "target_sphere is not seen" in last.status.detail
+    assert last.command is None
+    assert rms(beside_errors(again[60:])) < 0.04
+    assert_bounds(bench)
+
+
+@pytest.mark.parametrize(("free", "pose"), [("3", (0.0, 0.0, 0.0, 0.0)), ("all", (2.0, 0.0, 0.7, 0.8))])
+def test_links_keep_off_the_box_when_asked_to(free: str, pose: tuple[float, ...]) -> None:
+    careless = Bench("track", "exercise", pose, motion=MotionOptions(free_joints=free))
+    assert min(moment.clearance_m for moment in careless.run(2.5)) < KEEP_M, "the box is in the way of this motion"
+    careful = Bench("track", "exercise", pose, motion=MotionOptions(free_joints=free, avoid_box=True), sigma_m=0.005)
+    moments = careful.run(5)
+    assert min(moment.clearance_m for moment in moments) >= KEEP_M
+    assert any(moment.status.safety == SAFETY_CODE_SLOWED_FOR_BODY for moment in moments)
+    assert careful.counters.snapshot()["safety_slowed_for_body"] > 0
+    reached = [moment for moment in moments[110:] if moment.status.target_reachable]
+    assert rms(tip_errors(reached, "exercise")) < 0.02, "it gets there all the same"
+    assert_bounds(careful)
+
+
+def test_a_stop_in_the_middle_of_a_motion_and_its_release_go_without_a_step() -> None:
+    bench = Bench("track", "default")
+    bench.run(0.6)
+    assert np.abs(bench.world.speeds()).max() > 0.5, "it is on its way"
+    source = StopSource(name="page", stopped=True)
+    bench.stopped = True
+    bench.sim.halt()
+    bench.loop.stop(StopState(stopped=True, sources=[source]))
+    bench.run(1)
+    assert np.abs(bench.world.speeds()).max() < 1e-3
+    stood = bench.world.angles()
+    bench.stopped = False
+    bench.loop.stop(StopState())
+    moments = bench.run(3)
+    steps = np.diff([stood, *(moment.q for moment in moments)], axis=0)
+    assert np.abs(steps[0]).max() < 1e-3
+    speeds = steps * 30
+    assert np.abs(speeds).max() <= 1.05 * 5 * bench.limits.speed_share
+    # the arm's own: its actuators' response is on top of the setpoint's acceleration, whose bound is exact
+    assert np.abs(np.diff(speeds, axis=0)).max() <= 2 * bench.limits.acceleration_rad_s2 / 30
+    assert_bounds(bench)
+    assert rms(tip_errors(moments[-15:], "default")) < 0.02
+
+
+# --- the whole stack
+
+
+def recorded(rig: Rig, instants: int) -> list[Moment]:
+    """True tips and statuses from the start on, joined by instant."""
+    statuses: dict[int, ControlStatus] = {}
+    truths: dict[int, JointStates] = {}
+
+    def keep_status(got: Received[ControlStatus]) -> None:
+        statuses.setdefault(from_timestamp(got.message.capture_time), got.message)
+
+    def keep_truth(got: Received[JointStates]) -> None:
+        truths.setdefault(from_timestamp(got.message.timestamp), got.message)
+
+    for name in ("router", "vision", "control"):
+        rig.start(name)
+    rig.bus.subscriber(topics.CONTROL_STATUS, keep=1000, on_message=keep_status)
+    rig.bus.subscriber(topics.JOINTS_TRUE, keep=1000, on_message=keep_truth)
+    rig.wait_until(lambda: rig.heard_of("vision") and rig.heard_of("control"), 20, "vision and control are there")
+    rig.start("sim")
+    rig.wait_until(lambda: min(len(truths), len(statuses)) > instants, 120, f"{instants} instants")
+    data = mujoco.MjData(model := load_model())
+    begin = min(truths)
+    moments = []
+    for stamp in sorted(set(truths) & set(statuses))[:instants]:
+        data.qpos[:] = [joint.position for joint in truths[stamp].joints]
+        mujoco.mj_kinematics(model, data)
+        tip = np.array(data.site("tip").xpos) - BASE
+        moments.append(Moment((stamp - begin) / NS_PER_S, tip, data.qpos.copy(), None, statuses[stamp], np.nan))
+    return moments
+
+
+def test_through_the_whole_stack_the_tip_keeps_up_with_the_default_target(make_rig: Callable[..., Rig]) -> None:
+    rig = make_rig(clock="lockstep", start_time=START, target="default", mode="track")
+    moments = recorded(rig, 150)
+    assert rms(tip_errors(moments[90:], "default")) < 0.02
+
+
+def test_through_the_whole_stack_the_tip_stays_a_metre_from_the_sphere(make_rig: Callable[..., Rig]) -> None:
+    rig = make_rig(clock="lockstep", start_time=START, target="visible", mode="follow")
+    moments = recorded(rig, 180)
+    reached = [moment for moment in moments[90:] if moment.status.target_reachable]
+    assert len(reached) > 60
+    assert rms(beside_errors(reached)) < 0.04
