@@ -14,6 +14,7 @@ from armsight.counters import Counters
 from armsight.times import to_timestamp
 from armsight.v1.control_pb2 import ControlStatus
 from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, MARKER_STATUS_TRACKED, JointPositions, MarkerPosition
+from armsight.v1.safety_pb2 import StopSource, StopState
 from armsight_control.loop import Loop
 from armsight_control.modes import NAMES, Mode
 from armsight_control.movement import MotionOptions
@@ -42,6 +43,10 @@ class Moment:
     tip: Vector
     """True, base frame."""
     q: Vector
+    in_force: Vector
+    """The setpoint that sim says is, when the frames were taken."""
+    dt_s: float
+    """Since the last instant that was answered."""
     command: Vector | None
     status: ControlStatus
     clearance_m: float
@@ -64,15 +69,41 @@ class Bench:
     stopped: bool = False
 
     def __post_init__(self) -> None:
-        described = load_model()
-        self.world = World(longer_links(described, self.model_error), 1 / FPS)
+        self.described = load_model()
+        self.world = World(longer_links(self.described, self.model_error), 1 / FPS)
         self.sim = Motion(self.world, Instants(START_NS, FPS), np.array(self.pose))
         self.counters = Counters()
-        self.loop = Loop(self.limits, self.motion, Options(), 0, self.counters)
-        self.loop.describe(describe_arm(described, with_bodies=True))
-        self.loop.set_mode(Mode(NAMES[self.mode]))
         self.rng = np.random.default_rng(self.seed)
         self.moments: list[Moment] = []
+        self.restart()
+
+    def restart(self) -> None:
+        """A new control, which knows nothing of what was before."""
+        self.loop = Loop(self.limits, self.motion, Options(), 0, self.counters)
+        self.loop.describe(describe_arm(self.described, with_bodies=True))
+        self.loop.set_mode(Mode(NAMES[self.mode]))
+        self.answered_frame = self.sim.frame - 1
+
+    def skip(self, frames: int) -> None:
+        """Frames that control never sees."""
+        for _ in range(frames):
+            self.sim.next_frame()
+
+    def reset(self, pose: Vector) -> None:
+        """Sim's reset, seen from the next frame on."""
+        self.sim.reset(pose)
+        self.sim.next_frame()
+
+    def stop(self) -> None:
+        """A button's stop, as sim and control get to know of it."""
+        self.stopped = True
+        self.sim.halt()
+        self.loop.stop(StopState(stopped=True, sources=[StopSource(name="page", stopped=True)]))
+
+    def release(self) -> None:
+        """And its release."""
+        self.stopped = False
+        self.loop.stop(StopState())
 
     @property
     def t(self) -> float:
@@ -89,7 +120,8 @@ class Bench:
         self.world.data.mocap_pos[:] = [TARGETS["visible"][1](t), visible_box(t)]
         mujoco.mj_kinematics(self.world.model, self.world.data)
         names = self.world.joint_names
-        accepted = [JointState(name=n, position=q) for n, q in zip(names, self.sim.accepted, strict=True)]
+        in_force, dt_s = self.sim.accepted.copy(), (self.sim.frame - self.answered_frame) / FPS
+        accepted = [JointState(name=n, position=q) for n, q in zip(names, in_force, strict=True)]
         self.loop.accept(JointStates(timestamp=stamp, joints=accepted))
         if self.target != "none":
             frame, point = TARGETS[self.target]
@@ -104,8 +136,9 @@ class Bench:
         decision = self.sim.command(answer.command, stopped=self.stopped)
         assert self.stopped or decision.verdict.value != "refuse", decision
         command = None if answer.command.hold else np.array([joint.position_rad for joint in answer.command.joints])
-        moment = Moment(t, self.tip(), self.world.angles(), command, answer.status, self.clearance())
+        moment = Moment(t, self.tip(), self.world.angles(), in_force, dt_s, command, answer.status, self.clearance())
         self.moments.append(moment)
+        self.answered_frame = self.sim.frame
         self.sim.next_frame()
         return moment
 

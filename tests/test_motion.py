@@ -6,7 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from in_process import BASE, Bench, Moment, Vector, rms
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from in_process import BASE, BODIES, MARKERS, Bench, Moment, Vector, rms
 
 from armsight import topics
 from armsight.bus import Received
@@ -16,10 +20,13 @@ from armsight.v1.control_pb2 import (
     CONTROL_STATE_MOVING,
     SAFETY_CODE_BODY_LOST,
     SAFETY_CODE_SLOWED_FOR_BODY,
+    SAFETY_CODE_SLOWED_FOR_SINGULARITY,
+    SAFETY_CODE_STOPPED,
     ControlStatus,
 )
-from armsight.v1.safety_pb2 import StopSource, StopState
-from armsight_control.movement import KEEP_M, MotionOptions
+from armsight_control.detour import KEEP_M
+from armsight_control.modes import NAMES, Mode
+from armsight_control.movement import MotionOptions
 from armsight_sim.targets import TARGETS
 from armsight_sim.world import load_model
 from rig import Rig
@@ -47,17 +54,23 @@ def beside_errors(moments: list[Moment]) -> Vector:
 
 
 def assert_bounds(bench: Bench) -> None:
-    """No command breaks position, speed or acceleration, by differences of what was sent."""
-    limits, before, speed = bench.limits, None, np.zeros(4)
+    """No command breaks position, speed or acceleration, by differences to the setpoint in force."""
+    limits, ends = bench.limits, bench.world.limits
+    before, speed, before_s = None, np.zeros(4), 0.0
     for moment in bench.moments:
-        command = moment.command
-        if command is None or before is None:
-            before, speed = command, np.zeros(4)
+        lapsed = moment.dt_s > 0.1
+        if before is None or lapsed or np.abs(before - moment.in_force).max() > 1e-9:
+            speed, before_s = np.zeros(4), 0.0  # held, reset or stopped: it begins anew, from rest
+        before = moment.command
+        if before is None:
             continue
-        now = (command - before) * 30
+        dt_s = 1 / 30 if lapsed else moment.dt_s
+        now = (before - moment.in_force) / dt_s
+        assert (before >= ends[:, 0]).all()
+        assert (before <= ends[:, 1]).all()
         assert np.abs(now).max() <= 5 * limits.speed_share + 1e-6
-        assert np.abs(now - speed).max() <= limits.acceleration_rad_s2 / 30 + 1e-5 or not speed.any()
-        before, speed = command, now
+        assert np.abs(now - speed).max() <= limits.acceleration_rad_s2 * (dt_s + before_s) / 2 + 1e-5
+        speed, before_s = now, dt_s
 
 
 @pytest.mark.parametrize("free", ["3", "all"])
@@ -134,15 +147,13 @@ def test_a_stop_in_the_middle_of_a_motion_and_its_release_go_without_a_step() ->
     bench = Bench("track", "default")
     bench.run(0.6)
     assert np.abs(bench.world.speeds()).max() > 0.5, "it is on its way"
-    source = StopSource(name="page", stopped=True)
-    bench.stopped = True
-    bench.sim.halt()
-    bench.loop.stop(StopState(stopped=True, sources=[source]))
-    bench.run(1)
+    bench.stop()
+    halted = bench.run(1)
+    assert all(moment.status.safety == SAFETY_CODE_STOPPED and moment.command is None for moment in halted)
+    assert bench.counters.snapshot()["safety_stopped"] == 30
     assert np.abs(bench.world.speeds()).max() < 1e-3
     stood = bench.world.angles()
-    bench.stopped = False
-    bench.loop.stop(StopState())
+    bench.release()
     moments = bench.run(3)
     steps = np.diff([stood, *(moment.q for moment in moments)], axis=0)
     assert np.abs(steps[0]).max() < 1e-3
@@ -152,6 +163,70 @@ def test_a_stop_in_the_middle_of_a_motion_and_its_release_go_without_a_step() ->
     assert np.abs(np.diff(speeds, axis=0)).max() <= 2 * bench.limits.acceleration_rad_s2 / 30
     assert_bounds(bench)
     assert rms(tip_errors(moments[-15:], "default")) < 0.02
+
+
+def test_on_the_way_into_a_singularity_it_slows_down_and_says_so() -> None:
+    # from a bent arm to a point straight above, which only a stretched one reaches
+    bench = Bench("track", pose=(0.4, 0.0, 0.5, -0.9))
+    bench.loop.aim(Point3InFrame(frame_id="base", point=Point3(x=0.2, y=0.1, z=10.5)))
+    moments = bench.run(4)
+    slowed = [moment for moment in moments if moment.status.safety == SAFETY_CODE_SLOWED_FOR_SINGULARITY]
+    assert slowed
+    assert bench.counters.snapshot()["safety_slowed_for_singularity"] == len(slowed)
+    speeds = [np.abs(moment.command - moment.in_force).max() * 30 for moment in slowed if moment.command is not None]
+    assert max(speeds[len(speeds) // 2 :]) < 0.31 * 5 * bench.limits.speed_share, "as slow as it gets, once it is near"
+    assert moments[-1].status.state == CONTROL_STATE_HOLDING, "it comes to rest there all the same"
+    assert_bounds(bench)
+
+
+EVENTS = ("run", "run", "run", "mode", "target", "point", "stop", "release", "lose", "see", "noise", "reset", "skip")
+
+
+def happens(bench: Bench, event: str, rng: np.random.Generator) -> None:
+    """One thing that may happen to control, and what comes of it in up to a second."""
+    poses = bench.world.limits
+    if event == "mode":
+        bench.mode = str(rng.choice(list(NAMES)))
+        goal, start_s = rng.uniform(poses[:, 0], poses[:, 1]), rng.uniform(0, 60)
+        bench.loop.set_mode(Mode(NAMES[bench.mode], goal, start_s))
+    elif event == "target":
+        bench.target = str(rng.choice(["none", *TARGETS]))
+    elif event == "point":
+        x, y, z = rng.uniform((-7, -7, -1), (7, 7, 11))
+        bench.loop.aim(Point3InFrame(frame_id="base", point=Point3(x=x, y=y, z=z if rng.random() < 0.9 else np.nan)))
+    elif event == "stop":
+        bench.stop()
+    elif event == "release":
+        bench.release()
+    elif event == "lose":
+        names = set(rng.choice((*MARKERS, *BODIES), size=rng.integers(1, 5)))
+        bench.lost = lambda _t, name: name in names
+    elif event == "see":
+        bench.lost, bench.sigma_m = (lambda _t, _name: False), 0.0
+    elif event == "noise":
+        bench.sigma_m = float(rng.choice([0.003, 0.03, 0.5]))
+    elif event == "reset":
+        bench.reset(rng.uniform(poses[:, 0], poses[:, 1]))
+    elif event == "skip":
+        bench.skip(int(rng.integers(1, 8)))
+    bench.run(rng.integers(1, 31) / 30)
+
+
+@given(
+    st.lists(st.sampled_from(EVENTS), min_size=3, max_size=12),
+    st.sampled_from(["3", "all"]),
+    st.booleans(),
+    st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=25, deadline=None)
+def test_whatever_happens_in_whatever_order_no_command_breaks_a_limit(
+    events: list[str], free: str, avoid_box: bool, seed: int
+) -> None:
+    bench = Bench("track", "default", motion=MotionOptions(free_joints=free, avoid_box=avoid_box), seed=seed)
+    for event in events:
+        happens(bench, event, bench.rng)
+    assert_bounds(bench)
+    assert "safety_halted_unsafe" not in bench.counters.snapshot(), "the last word was never needed"
 
 
 # --- the whole stack
@@ -182,7 +257,9 @@ def recorded(rig: Rig, instants: int) -> list[Moment]:
         data.qpos[:] = [joint.position for joint in truths[stamp].joints]
         mujoco.mj_kinematics(model, data)
         tip = np.array(data.site("tip").xpos) - BASE
-        moments.append(Moment((stamp - begin) / NS_PER_S, tip, data.qpos.copy(), None, statuses[stamp], np.nan))
+        moments.append(
+            Moment((stamp - begin) / NS_PER_S, tip, data.qpos.copy(), np.zeros(4), 0.0, None, statuses[stamp], np.nan)
+        )
     return moments
 
 

@@ -19,10 +19,11 @@ from armsight_control.tracking import Moving
 
 FREE_JOINTS = {"3": REPORT_FREE, "all": (0, 1, 2, 3)}
 
+NEAR_M = 1e-4
+"""The tip is there: a tenth of what vision can tell."""
+
 # A jump of a joint from one instant to the next that no motion of the target explains is another branch.
 BRANCH_RAD = 0.5
-# The tip is there: a tenth of what vision can tell.
-_NEAR_M = 1e-4
 _STEPS = 8
 _LARGEST_STEP_RAD = 0.2
 _DIFFERENCE_S = 0.01
@@ -60,25 +61,25 @@ def aim(chain: Chain, free: tuple[int, ...], point: Moving, start: Array, dt_s: 
     if len(free) > len(point.position):
         columns = list(free)
         drift[columns] = null_motion(chain, start, jacobian(chain, start)[:, columns], free)
-    q, reachable = carried(chain, free, point.position, start + drift * dt_s)
+    q, missed_m = carried(chain, free, point.position, start + drift * dt_s)
     later, _ = carried(chain, free, point.position + point.velocity * _DIFFERENCE_S, q)
     change = later - q
     # across a branch there is no velocity: the arm is on its way for longer than an instant
     velocity = change / _DIFFERENCE_S + drift if np.abs(change).max() < BRANCH_RAD / 2 else np.zeros(chain.count)
-    return Aim(q, velocity, forward(chain, q), reachable)
+    return Aim(q, velocity, forward(chain, q), missed_m < NEAR_M)
 
 
-def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> tuple[Array, bool]:
-    """A configuration near ``start`` with the tip at a point, or as near to it as it gets; and whether it is there."""
+def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> tuple[Array, float]:
+    """A configuration near ``start`` with the tip at a point, or as near to it as it gets; and how far off that is."""
     if free == REPORT_FREE:
         solution = solve("closed-form", Problem(chain, point, for_free(chain, start, free), free))
-        return solution.q, bool(solution.residual_m < _NEAR_M)
+        return solution.q, solution.residual_m
     q = chain.clip(start)
     columns = list(free)
     error = point - forward(chain, q)
     for _ in range(_STEPS):
         off = float(np.linalg.norm(error))
-        if off < _NEAR_M / 10:
+        if off < NEAR_M / 10:
             break
         step = damped_inverse(jacobian(chain, q)[:, columns]) @ error
         step *= min(1.0, _LARGEST_STEP_RAD / max(float(np.abs(step).max()), 1e-12))
@@ -93,4 +94,4 @@ def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> 
                 break
         if not better:
             break
-    return q, bool(np.linalg.norm(error) < _NEAR_M)
+    return q, float(np.linalg.norm(error))

@@ -4,6 +4,7 @@ The same instant gets the same answer again without anything moving on. Everythi
 ends in an answer that holds, with its reason counted.
 """
 
+import math
 from dataclasses import dataclass
 
 from foxglove_schemas_protobuf.JointState_pb2 import JointState
@@ -249,8 +250,7 @@ class Loop:
         if setpoint is None:
             detail = "no accepted setpoint yet: start sim, or reset it to a known pose"
             return Decision(CONTROL_STATE_WAITING, detail, reason="no_setpoint", safety=SAFETY_CODE_NOT_READY)
-        since_s = _PERIOD_S if self._last is None else (capture_ns - self._last.capture_ns) / NS_PER_S
-        step = Step(capture_ns, min(since_s, VALID_FOR_S))
+        step = Step(capture_ns, self._since_s(capture_ns))
         try:
             estimate = self._look(message, body, setpoint, age_s)
             self._movement.look(message, setpoint, step)
@@ -263,6 +263,15 @@ class Loop:
             code = SAFETY_CODE_STOPPED
             return Decision(CONTROL_STATE_STOPPED, stopped.detail, reason=stopped.reason, safety=code)
         return self._movement.move(setpoint, step, self._setpoints.lead_s)
+
+    def _since_s(self, capture_ns: int) -> float:
+        """How long a step the answer to an instant is."""
+        since_s = math.inf if self._last is None else (capture_ns - self._last.capture_ns) / NS_PER_S
+        if since_s <= VALID_FOR_S:
+            return since_s
+        # the last command has lapsed: the arm stands, and goes on from there
+        self._movement.rest()
+        return _PERIOD_S
 
     def _look(self, message: JointPositions, body: _Body, setpoint: Array, age_s: float) -> Estimate:
         positions = positions_of(message, body.arm)

@@ -4,8 +4,6 @@ Every setpoint is for the instant at which the arm will be there: the capture ti
 have lately taken to be in force. Targets and tests are asked for where they are at that instant.
 """
 
-import math
-from collections import deque
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -26,10 +24,8 @@ from armsight.v1.control_pb2 import (
     CONTROL_STATE_MOVING,
     SAFETY_CODE_BODY_LOST,
     SAFETY_CODE_BRANCH_SWITCH,
-    SAFETY_CODE_HALTED_FOR_BODY,
     SAFETY_CODE_HALTED_UNSAFE,
     SAFETY_CODE_OK,
-    SAFETY_CODE_SLOWED_FOR_BODY,
     SAFETY_CODE_SLOWED_FOR_LIMIT,
     SAFETY_CODE_SLOWED_FOR_SINGULARITY,
     ControlMode,
@@ -39,17 +35,19 @@ from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.joints_pb2 import JointPositions
 from armsight_control import safety
 from armsight_control.aiming import FREE_JOINTS, carried
-from armsight_control.barrier import Capsule, allowed, capsules_of, clearances
-from armsight_control.bodies import BodyNames, Seen, body_names, seen, tip_by_markers
+from armsight_control.barrier import capsules_of
+from armsight_control.bodies import BodyNames, body_names
 from armsight_control.chain import Array
-from armsight_control.correction import Correction, corrected
 from armsight_control.decision import Decision, holding
 from armsight_control.description import Arm
+from armsight_control.detour import Detour, Detours
+from armsight_control.history import History
 from armsight_control.kinematics import forward, jacobian
 from armsight_control.modes import Mode
 from armsight_control.nullspace import smallest_singular_value
 from armsight_control.pointing import Pointing
 from armsight_control.positions import LastLinks
+from armsight_control.sight import Sight
 from armsight_control.solvers import Options, Problem, Solution
 from armsight_control.standoff import DISTANCE_M, beside, side_of
 from armsight_control.tracking import Moving, Target, Track, observed, predicted, target_of
@@ -74,12 +72,10 @@ from armsight_control.trajectory import (
 _TARGET_SIGMA_M = 1e-3
 # A goal found by sight trembles: what is nearer and slower is there, half a millimetre at the tip.
 _SEEN_RAD, _SEEN_RAD_S = 1e-4, 1e-3
-# Bodies go on as they went for this long unseen (the arm hides the box for a third of its period, in parts).
-_FORESEEN_S = 1.0
+# An arm that is this near to its aim is on that aim's branch.
+_SWITCHED_RAD = 0.1
 # After a rest the arm may still be on its way to the last setpoint.
 _SETTLED_NS = 300_000_000
-# Between any link's surface and the centre of the box; and what vision and the arm's response may be off by.
-KEEP_M, _KEEP_MARGIN_M = 0.8, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +95,7 @@ class Body:
     arm: Arm
     last_links: LastLinks
     planner: Planner
-    capsules: tuple[Capsule, ...]
+    detours: Detours
     bodies: BodyNames
 
 
@@ -113,6 +109,18 @@ class Pointed:
 
 
 @dataclass(frozen=True, slots=True)
+class _Now:
+    """One instant that is answered."""
+
+    body: Body
+    state: State
+    """Of the setpoint in force."""
+    step: Step
+    effect_ns: int
+    """When the arm will be at what is commanded now."""
+
+
+@dataclass(frozen=True, slots=True)
 class _Way:
     """Where to in this step."""
 
@@ -120,6 +128,8 @@ class _Way:
     detail: str = ""
     code: SafetyCode = SAFETY_CODE_OK
     slow: float = 1.0
+    ends: bool = True
+    """Whether the arm may come to rest at the goal."""
     near_rad: float = ARRIVED_RAD
     near_rad_s: float = ARRIVED_RAD
 
@@ -148,16 +158,12 @@ class Movement:
         self.clearance_m: float | None = None
         self._target: Target | None = None
         self._track: Track | None = None
-        self._sphere: Track | None = None
-        self._box: Track | None = None
+        self._sight: Sight | None = None
         self._side: int | None = None
         self._standoff: Target | None = None
         self._state: State | None = None
         self._pace: safety.Pace | None = None
-        self._sent: deque[tuple[int, State]] = deque(maxlen=8)
-        self._expected: safety.Expected | None = None
-        self._where = np.zeros(3)
-        self._correction = Correction()
+        self._history = History()
         self._now_ns = self._rested_ns = 0
 
     # --- what arrives
@@ -175,12 +181,13 @@ class Movement:
     @property
     def correction(self) -> Array:
         """What is taken off the point aimed at, base frame, metres."""
-        return self._correction.offset
+        return np.zeros(3) if self._sight is None else self._sight.correction
 
     def describe(self, arm: Arm, last_links: LastLinks, message: ArmDescription) -> None:
         """Takes the arm; what was known of another one is forgotten."""
         planner = Planner(arm.chain, self._limits)
-        self._body = Body(arm, last_links, planner, capsules_of(message, arm.chain), body_names(message))
+        detours = Detours(arm.chain, self._limits, planner, capsules_of(message, arm.chain))
+        self._body = Body(arm, last_links, planner, detours, body_names(message))
         self._target = self._track = None
         self._pointing.forget()
         self.begin_anew()
@@ -198,16 +205,15 @@ class Movement:
         """Nothing was commanded, or something else is in force: motion begins anew, from rest."""
         self._state = None
         self._pace = None
-        self._sent.clear()
+        self._history.forget()
         self._rested_ns = self._now_ns
         self._path = self._path.left()
 
     def begin_anew(self) -> None:
         """Sim is another one than before: its time may begin anywhere."""
         self._now_ns = 0
-        self._expected = None
-        self._sphere = self._box = None
-        self._correction = Correction()
+        body = self._body
+        self._sight = None if body is None else Sight(body.arm, body.last_links, body.bodies)
         self.rest()
 
     def aim(self, message: Point3InFrame) -> None:
@@ -247,21 +253,11 @@ class Movement:
             PositionsError: the tip jumped as nobody told it to.
         """
         body, self._now_ns = self._body, step.capture_ns
-        if body is None:
+        if body is None or self._sight is None:
             return
-        self._sphere = self._watched(self._sphere, message, body.bodies.sphere, step)
-        self._box = self._watched(self._box, message, body.bodies.box, step)
-        tip = tip_by_markers(message, body.last_links.along, body.last_links.length4, body.arm)
-        if tip is None:
-            return
-        chain, commanded = body.arm.chain, self._commanded(setpoint, step.capture_ns)
-        where = forward(chain, commanded.position)
-        speed = 0.0 if self._expected is None else float(np.linalg.norm(where - self._where)) / step.dt_s
-        self._where = where
-        self._expected = safety.expect(self._expected, tip, where)
-        safety.check_expected(self._expected)
-        if self.mode in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW) and self._settled(step):
-            self._correction = corrected(self._correction, tip, where, speed, step.dt_s)
+        commanded = forward(body.arm.chain, self._history.at(step.capture_ns, setpoint))
+        aims = self.mode in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW)
+        self._sight.look(message, commanded, step, learns=aims and step.capture_ns - self._rested_ns > _SETTLED_NS)
 
     def move(self, setpoint: Array, step: Step, lead_s: float) -> Decision:
         """The next setpoint, or why there is none.
@@ -277,88 +273,78 @@ class Movement:
         if self._state is None or not np.array_equal(self._state.position, setpoint):
             self.rest()
             self._state = at_rest(setpoint)
-        state = self._state
-        effect_ns = step.capture_ns + round(lead_s * NS_PER_S)
-        way = self._way(body, state, step, effect_ns)
+        now = _Now(body, self._state, step, step.capture_ns + round(lead_s * NS_PER_S))
+        way = self._way(now)
         if isinstance(way, Decision):
-            if state.at_rest:
-                return way
-            # it comes to rest as gently as it moves
-            stopped = body.planner.brake(state, step.dt_s).state
-            return self._checked(body, state, stopped, step, effect_ns, replace(way, setpoint=stopped.position))
-        stepped = body.planner.towards(state, way.goal, step.dt_s, way.slow)
-        after, code, detail = stepped.state, way.code, way.detail
+            return self._come_to_rest(now, way)
+        stepped = body.planner.towards(now.state, way.goal, step.dt_s, way.slow)
+        detour = self._detour(now, stepped.state)
+        if isinstance(detour, Decision):
+            return self._come_to_rest(now, detour)
+        if detour is not None:
+            return self._send(now, detour.after, Decision(CONTROL_STATE_MOVING, detour.detail, safety=detour.code))
+        if self._arrived(now, way):
+            return holding(way.detail or "at its goal")
+        code = way.code
         if way.slow < 1.0:
             code = SAFETY_CODE_SLOWED_FOR_SINGULARITY
         if any(stepped.braked):
             code = SAFETY_CODE_SLOWED_FOR_LIMIT
-        if self._options.avoid_box and body.bodies.box is not None:
-            kept = self._kept_away(body, state, after, step, effect_ns)
-            if isinstance(kept, Decision):
-                stopped = body.planner.brake(state, step.dt_s).state
-                if state.at_rest:
-                    return kept
-                return self._checked(body, state, stopped, step, effect_ns, replace(kept, setpoint=stopped.position))
-            if kept is not None:
-                after, code, detail = kept
-        away, speed = (
-            np.abs(body.arm.chain.clip(way.goal.position) - state.position).max(),
-            np.abs(state.velocity).max(),
-        )
-        there = away <= way.near_rad and max(speed, float(np.abs(way.goal.velocity).max())) <= way.near_rad_s
-        if there and code in (SAFETY_CODE_OK, SAFETY_CODE_BRANCH_SWITCH):
-            return holding(detail or "at its goal")
-        return self._checked(
-            body, state, after, step, effect_ns, Decision(CONTROL_STATE_MOVING, detail, after.position, safety=code)
+        return self._send(now, stepped.state, Decision(CONTROL_STATE_MOVING, way.detail, safety=code))
+
+    def _come_to_rest(self, now: _Now, why: Decision) -> Decision:
+        """As gently as it moves."""
+        return (
+            why if now.state.at_rest else self._send(now, now.body.planner.brake(now.state, now.step.dt_s).state, why)
         )
 
-    def _way(self, body: Body, state: State, step: Step, effect_ns: int) -> _Way | Decision:
+    def _way(self, now: _Now) -> _Way | Decision:
         """Where to in this step, by the mode."""
         self.pointed = None
         if self.mode == CONTROL_MODE_JOINTS and self._mode.goal is not None:
             return _Way(resting(self._mode.goal))
         if self.mode in self.PATHS:
-            goal, self._path = along(self.PATHS[self.mode], self._path, state, step)
-            return _Way(goal, near_rad=-1.0)
+            goal, self._path = along(self.PATHS[self.mode], self._path, now.state, now.step)
+            return _Way(goal, ends=False)
         if self.mode == CONTROL_MODE_TRACK:
             if self._track is None:
                 return holding("no target yet: publish one on `target`")
-            return self._point(body, state, predicted(self._track, effect_ns, step.capture_ns), "the target", step.dt_s)
+            return self._point(now, predicted(self._track, now.effect_ns, now.step.capture_ns), "the target")
         if self.mode == CONTROL_MODE_FOLLOW:
-            return self._beside_sphere(body, state, step, effect_ns)
+            return self._beside_sphere(now)
         return holding("mode hold")
 
-    def _beside_sphere(self, body: Body, state: State, step: Step, effect_ns: int) -> _Way | Decision:
-        name = body.bodies.sphere
+    def _beside_sphere(self, now: _Now) -> _Way | Decision:
+        name = now.body.bodies.sphere
         if name is None:
             return holding("no sphere to follow in this scene: start sim with --target visible", "no_sphere")
-        if self._sphere is None or step.capture_ns - self._sphere.stamp_ns > _FORESEEN_S * NS_PER_S:
+        centre = None if self._sight is None else self._sight.sphere(now.step, now.effect_ns)
+        if centre is None:
             return holding(f"{name} is not seen by any camera", "sphere_lost", SAFETY_CODE_BODY_LOST)
-        chain, shoulder = body.arm.chain, body.last_links.shoulder
-        centre = predicted(self._sphere, effect_ns, step.capture_ns, _FORESEEN_S)
+        chain, shoulder = now.body.arm.chain, now.body.last_links.shoulder
 
-        def reachable(point: Array) -> bool:
-            return carried(chain, self._free, point, state.position)[1]
+        def missed_m(point: Array) -> float:
+            return carried(chain, self._free, point, now.state.position)[1]
 
-        side = side_of(centre.position, shoulder, self._side, reachable)
+        side = side_of(centre.position, shoulder, self._side, missed_m)
         if self._side is not None and side != self._side:
             self._counters.add("side_switch")
         self._side = side
         point = beside(centre, shoulder, side)
-        self._standoff = Target(step.capture_ns, point.position)
-        return self._point(body, state, point, f"the point {DISTANCE_M:g} m from {name}", step.dt_s)
+        self._standoff = Target(now.step.capture_ns, point.position)
+        return self._point(now, point, f"the point {DISTANCE_M:g} m from {name}")
 
-    def _point(self, body: Body, state: State, point: Moving, what: str, dt_s: float) -> _Way | Decision:
-        chain = body.arm.chain
-        found = self._pointing.aim(chain, Moving(point.position - self._correction.offset, point.velocity), dt_s)
+    def _point(self, now: _Now, point: Moving, what: str) -> _Way | Decision:
+        chain, present = now.body.arm.chain, now.state.position
+        found = self._pointing.aim(chain, Moving(point.position - self.correction, point.velocity), now.step.dt_s)
         if found is None:
             return holding("the solver has no answer yet")
         aim, switched = found
-        reached = aim.tip + self._correction.offset
+        reached = aim.tip + self.correction
         self.pointed = Pointed(point.position, reached, aim.reachable)
         missed = float(np.linalg.norm(reached - point.position))
         detail = "" if aim.reachable else f"{what} is out of reach by {missed:.2f} m: at the nearest point"
-        far = bool(np.abs(aim.q - state.position).max() > 0.1)
+        far = bool(np.abs(aim.q - present).max() > _SWITCHED_RAD)
         self._switching = switched or (self._switching and far)
         if self._switching:
             detail = f"{detail}; " * bool(detail) + "on its way to another branch"
@@ -371,68 +357,38 @@ class Movement:
             Goal(aim.q, aim.velocity),
             detail,
             SAFETY_CODE_BRANCH_SWITCH if self._switching else SAFETY_CODE_OK,
-            safety.slow_for_singularity(nearness(state.position), lambda: nearness(aim.q)),
-            _SEEN_RAD,
-            _SEEN_RAD_S,
+            safety.slow_for_singularity(nearness(present), lambda: nearness(aim.q)),
+            near_rad=_SEEN_RAD,
+            near_rad_s=_SEEN_RAD_S,
         )
 
-    def _kept_away(
-        self, body: Body, state: State, after: State, step: Step, effect_ns: int
-    ) -> tuple[State, SafetyCode, str] | Decision | None:
+    def _detour(self, now: _Now, planned: State) -> Detour | Decision | None:
         """The step that keeps the links away from the box, where it is another one than planned."""
-        name = body.bodies.box
-        if self._box is None or step.capture_ns - self._box.stamp_ns > _FORESEEN_S * NS_PER_S:
+        name = now.body.bodies.box
+        if not self._options.avoid_box or name is None or self._sight is None:
+            return None
+        box = self._sight.box(now.step, now.effect_ns)
+        if box is None:
             self.clearance_m = None
             return holding(f"{name} is not seen by any camera", "box_lost", SAFETY_CODE_BODY_LOST)
-        chain = body.arm.chain
-        box = predicted(self._box, effect_ns, step.capture_ns, _FORESEEN_S)
-        self.clearance_m = min(c.distance_m for c in clearances(chain, state.position, body.capsules, box.position))
-        keep_m, most = KEEP_M + _KEEP_MARGIN_M, self._limits.speed(chain)
-        kept = allowed(chain, state.position, body.capsules, box, keep_m, after.velocity, most)
-        if not kept.slowed:
-            return None
-        if not kept.found:
-            halted = body.planner.brake(state, step.dt_s).state
-            return halted, SAFETY_CODE_HALTED_FOR_BODY, f"no motion keeps the links {KEEP_M:g} m from {name}"
-        away = body.planner.at_speed(state, kept.velocity, step.dt_s).state
-        return away, SAFETY_CODE_SLOWED_FOR_BODY, f"keeps {KEEP_M:g} m from {name}"
+        self.clearance_m = now.body.detours.clearance_m(now.state, box)
+        return now.body.detours.around(box, now.state, planned, now.step.dt_s)
 
-    def _arrived(self, body: Body, state: State, way: _Way) -> bool:
-        away = float(np.abs(body.arm.chain.clip(way.goal.position) - state.position).max())
-        speed = max(float(np.abs(state.velocity).max()), float(np.abs(way.goal.velocity).max()))
-        return away <= way.near_rad and speed <= way.near_rad_s
+    def _arrived(self, now: _Now, way: _Way) -> bool:
+        away = float(np.abs(now.body.arm.chain.clip(way.goal.position) - now.state.position).max())
+        speed = max(float(np.abs(now.state.velocity).max()), float(np.abs(way.goal.velocity).max()))
+        return way.ends and away <= way.near_rad and speed <= way.near_rad_s
 
-    def _checked(
-        self, body: Body, state: State, after: State, step: Step, effect_ns: int, decision: Decision
-    ) -> Decision:
+    def _send(self, now: _Now, after: State, decision: Decision) -> Decision:
         """The last word: a setpoint that breaks a limit is not sent, whoever made it."""
-        pace = self._pace or safety.Pace(np.zeros(body.arm.chain.count), 0.0)
+        chain = now.body.arm.chain
+        pace = self._pace or safety.Pace(np.zeros(chain.count), 0.0)
         try:
             self._pace = safety.check_setpoint(
-                body.arm.chain, self._limits, state.position, pace, after.position, step.dt_s
+                chain, self._limits, now.state.position, pace, after.position, now.step.dt_s
             )
         except safety.UnsafeError as error:
             return Decision(CONTROL_STATE_HOLDING, str(error), reason="unsafe", safety=SAFETY_CODE_HALTED_UNSAFE)
         self._state = after
-        self._sent.append((effect_ns, after))
-        return decision
-
-    # --- what was commanded, and seen
-
-    def _commanded(self, setpoint: Array, capture_ns: int) -> State:
-        """Where the setpoint was at an instant."""
-        for effect_ns, state in self._sent:
-            early_s = (effect_ns - capture_ns) / NS_PER_S
-            if early_s >= -1e-3:
-                return State(state.before(min(early_s, 0.1)), state.velocity, state.acceleration)
-        return self._sent[-1][1] if self._sent else at_rest(setpoint)
-
-    def _settled(self, step: Step) -> bool:
-        return step.capture_ns - self._rested_ns > _SETTLED_NS
-
-    def _watched(self, track: Track | None, message: JointPositions, name: str | None, step: Step) -> Track | None:
-        body = self._body
-        found: Seen | None = None if body is None or name is None else seen(message, name, body.arm)
-        if found is None:
-            return track
-        return observed(track, step.capture_ns, found.position, found.sigma_m / math.sqrt(3))
+        self._history.remember(now.effect_ns, after)
+        return replace(decision, setpoint=after.position)

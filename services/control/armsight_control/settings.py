@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from armsight.service import add_service_arguments
 from armsight_control import estimators
 from armsight_control.aiming import FREE_JOINTS
+from armsight_control.detour import KEEP_M
 from armsight_control.errors import ControlError
 from armsight_control.modes import INITIAL_NAMES
-from armsight_control.movement import KEEP_M, MotionOptions
+from armsight_control.movement import MotionOptions
 from armsight_control.solvers.options import GradientDescentOptions, Options
 from armsight_control.solvers.start import INITIALISATIONS, Initialisation
 from armsight_control.trajectory import MotionLimits

@@ -102,7 +102,9 @@ class Stack:
             assert [joint.name for joint in command.joints] == list(self.arm.chain.names)
             q = np.array([joint.position_rad for joint in command.joints])
             assert (q == self.arm.chain.clip(q)).all()
-            dt_s = min((answer.capture_ns - self.answered_ns) / 1e9, 0.1)
+            dt_s = (answer.capture_ns - self.answered_ns) / 1e9
+            if dt_s > 0.1:  # the last command has lapsed: it begins anew, from rest
+                dt_s, self.velocity, self.dt_s = PERIOD_NS / 1e9, np.zeros(4), 0.0
             velocity = (q - self.q) / dt_s
             assert np.abs(velocity).max() <= 5 * self.limits.speed_share + 1e-6
             most = self.limits.acceleration_rad_s2 * (dt_s + self.dt_s) / 2

@@ -1,10 +1,12 @@
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from armsight_control import safety
 from armsight_control.bodies import Seen
+from armsight_control.chain import Array
 from armsight_control.correction import MOST_M, Correction, corrected
 from armsight_control.description import Arm
 from armsight_control.errors import PositionsError
@@ -87,9 +89,14 @@ def test_the_place_beside_a_sphere_is_a_metre_off_on_the_line_to_the_shoulder() 
         np.testing.assert_allclose(found.velocity, (later - found.position) / 1e-3, atol=1e-2)
 
 
-def test_the_side_is_kept_as_long_as_it_is_reached() -> None:
+def test_the_side_is_kept_as_long_as_it_is_reached_and_else_the_nearer_one_is_taken() -> None:
     shoulder, centre = np.array([0.0, 0.0, 4.0]), np.array([0.0, 3.0, 4.0])
-    assert side_of(centre, shoulder, None, lambda _: True) == BEFORE
-    assert side_of(centre, shoulder, None, lambda p: bool(np.linalg.norm(p - shoulder) > 3)) == BEYOND
-    assert side_of(centre, shoulder, BEYOND, lambda _: True) == BEYOND
-    assert side_of(centre, shoulder, BEYOND, lambda _: False) == BEYOND
+
+    def folds_to(least_m: float) -> Callable[[Array], float]:
+        return lambda point: max(0.0, least_m - float(np.linalg.norm(point - shoulder)))
+
+    assert side_of(centre, shoulder, None, folds_to(1.0)) == BEFORE
+    assert side_of(centre, shoulder, None, folds_to(3.0)) == BEYOND
+    assert side_of(centre, shoulder, BEYOND, folds_to(1.0)) == BEYOND
+    assert side_of(centre, shoulder, None, folds_to(4.5)) == BEYOND
+    assert side_of(centre, shoulder, BEFORE, lambda _: 1.0) == BEFORE, "no to and fro between two that are as far"

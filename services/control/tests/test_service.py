@@ -399,7 +399,7 @@ def test_queries_answer_and_refuse_with_a_text(rig: Rig) -> None:
     assert freed.status == IK_STATUS_CONVERGED
 
     assert rig.asked(SetModeRequest()) == CONTROL_MODE_HOLD
-    with pytest.raises(RefusedError, match="there are hold, joints, test-1, test-2, track, follow"):
+    with pytest.raises(RefusedError, match="there are hold, joints, test-1, test-2, test-all, track, follow"):
         rig.bus.query(MODE, SetModeRequest.FromString(b"\x08\x63"))
     assert '"solver": "closed-form"' in rig.bus.query(PARAMETERS, PARAMETERS.request(), "control").json
 
