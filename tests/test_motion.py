@@ -19,6 +19,7 @@ from armsight.v1.control_pb2 import (
     CONTROL_STATE_HOLDING,
     CONTROL_STATE_MOVING,
     SAFETY_CODE_BODY_LOST,
+    SAFETY_CODE_BRANCH_SWITCH,
     SAFETY_CODE_SLOWED_FOR_BODY,
     SAFETY_CODE_SLOWED_FOR_SINGULARITY,
     SAFETY_CODE_STOPPED,
@@ -112,6 +113,18 @@ def test_the_tip_stays_a_metre_from_the_sphere_wherever_that_is_reached(free: st
     moments = bench.run(6)
     assert all(moment.status.target_reachable for moment in moments)
     assert rms(beside_errors(moments)) < 0.04
+    assert_bounds(bench)
+
+
+def test_a_branch_is_left_while_the_sphere_is_out_of_reach_so_that_it_lasts_while_it_is_in_reach() -> None:
+    bench = Bench("follow", sigma_m=0.003, seed=3)
+    bench.run(4)
+    moments = bench.run(36)
+    assert bench.counters.snapshot()["branch_switch"] == 1
+    switching = [moment for moment in moments if moment.status.safety == SAFETY_CODE_BRANCH_SWITCH]
+    assert switching
+    assert not any(moment.status.target_reachable for moment in switching)
+    assert rms(beside_errors([moment for moment in moments if moment.status.target_reachable])) < 0.04
     assert_bounds(bench)
 
 

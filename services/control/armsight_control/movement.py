@@ -97,6 +97,7 @@ class Body:
     planner: Planner
     detours: Detours
     bodies: BodyNames
+    sight: Sight
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,14 +152,13 @@ class Movement:
         self._free = FREE_JOINTS[motion.free_joints]
         self._body: Body | None = None
         self._mode = Mode(CONTROL_MODE_HOLD)
-        self._pointing = Pointing(options, self._free, seed, counters)
+        self._pointing = Pointing(limits, options, self._free, seed, counters)
         self._path = OnPath(0.0)
         self._switching = False
         self.pointed: Pointed | None = None
         self.clearance_m: float | None = None
         self._target: Target | None = None
         self._track: Track | None = None
-        self._sight: Sight | None = None
         self._side: int | None = None
         self._standoff: Target | None = None
         self._state: State | None = None
@@ -181,13 +181,14 @@ class Movement:
     @property
     def correction(self) -> Array:
         """What is taken off the point aimed at, base frame, metres."""
-        return np.zeros(3) if self._sight is None else self._sight.correction
+        return np.zeros(3) if self._body is None else self._body.sight.correction
 
     def describe(self, arm: Arm, last_links: LastLinks, message: ArmDescription) -> None:
         """Takes the arm; what was known of another one is forgotten."""
         planner = Planner(arm.chain, self._limits)
         detours = Detours(arm.chain, self._limits, planner, capsules_of(message, arm.chain))
-        self._body = Body(arm, last_links, planner, detours, body_names(message))
+        names = body_names(message)
+        self._body = Body(arm, last_links, planner, detours, names, Sight(arm, last_links, names))
         self._target = self._track = None
         self._pointing.forget()
         self.begin_anew()
@@ -213,7 +214,8 @@ class Movement:
         """Sim is another one than before: its time may begin anywhere."""
         self._now_ns = 0
         body = self._body
-        self._sight = None if body is None else Sight(body.arm, body.last_links, body.bodies)
+        if body is not None:
+            self._body = replace(body, sight=Sight(body.arm, body.last_links, body.bodies))
         self.rest()
 
     def aim(self, message: Point3InFrame) -> None:
@@ -253,11 +255,11 @@ class Movement:
             PositionsError: the tip jumped as nobody told it to.
         """
         body, self._now_ns = self._body, step.capture_ns
-        if body is None or self._sight is None:
+        if body is None:
             return
         commanded = forward(body.arm.chain, self._history.at(step.capture_ns, setpoint))
         aims = self.mode in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW)
-        self._sight.look(message, commanded, step, learns=aims and step.capture_ns - self._rested_ns > _SETTLED_NS)
+        body.sight.look(message, commanded, step, learns=aims and step.capture_ns - self._rested_ns > _SETTLED_NS)
 
     def move(self, setpoint: Array, step: Step, lead_s: float) -> Decision:
         """The next setpoint, or why there is none.
@@ -318,7 +320,7 @@ class Movement:
         name = now.body.bodies.sphere
         if name is None:
             return holding("no sphere to follow in this scene: start sim with --target visible", "no_sphere")
-        centre = None if self._sight is None else self._sight.sphere(now.step, now.effect_ns)
+        centre = now.body.sight.sphere(now.step, now.effect_ns)
         if centre is None:
             return holding(f"{name} is not seen by any camera", "sphere_lost", SAFETY_CODE_BODY_LOST)
         chain, shoulder = now.body.arm.chain, now.body.last_links.shoulder
@@ -365,9 +367,9 @@ class Movement:
     def _detour(self, now: _Now, planned: State) -> Detour | Decision | None:
         """The step that keeps the links away from the box, where it is another one than planned."""
         name = now.body.bodies.box
-        if not self._options.avoid_box or name is None or self._sight is None:
+        if not self._options.avoid_box or name is None:
             return None
-        box = self._sight.box(now.step, now.effect_ns)
+        box = now.body.sight.box(now.step, now.effect_ns)
         if box is None:
             self.clearance_m = None
             return holding(f"{name} is not seen by any camera", "box_lost", SAFETY_CODE_BODY_LOST)

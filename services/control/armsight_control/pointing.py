@@ -1,5 +1,10 @@
-"""Keeps the aim of a mode with a target: the solver's branch, and the configuration carried on with the point."""
+"""Keeps the aim of a mode with a target: the solver's branch, and the configuration carried on with the point.
 
+The branch changes where a joint is at its limit: by the shortest way while the target is in reach, and while it is not
+to where joint 1 can follow longest.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,14 +12,18 @@ import numpy as np
 from armsight.counters import Counters
 from armsight_control.aiming import BRANCH_RAD, Aim, aim
 from armsight_control.chain import Array, Chain
+from armsight_control.estimators.candidates import twins, within
 from armsight_control.solvers import Options, Problem, Solution
 from armsight_control.solvers.start import perturbed
 from armsight_control.tracking import Moving, Target
+from armsight_control.trajectory import MotionLimits
 
 # Descents that go on from one another for one target that does not move, before it is left at that.
 _MOST_DESCENTS = 60
 # The solver's branch is better than the present one where it is nearer to the point by this much.
 _BETTER_M = 0.01
+# What a target does after this is not told by what it does now.
+_FORESEEN_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +37,11 @@ class Solved:
 class Pointing:
     """From targets to aims; remembers the branch."""
 
-    def __init__(self, options: Options, free: tuple[int, ...], seed: int, counters: Counters) -> None:
+    def __init__(
+        self, limits: MotionLimits, options: Options, free: tuple[int, ...], seed: int, counters: Counters
+    ) -> None:
         """Nothing is aimed at yet."""
-        self._options, self._free, self._counters = options, free, counters
+        self._limits, self._options, self._free, self._counters = limits, options, free, counters
         self._rng = np.random.default_rng(seed)
         self.forget()
 
@@ -71,19 +82,36 @@ class Pointing:
         solution = self.solution
         if solution is None:
             return None
-        if self._aimed is None:
-            self._aimed = solution.q
-            first = aim(chain, self._free, point, self._aimed, dt_s)
+        present = self._aimed
+        if present is None:
+            first = aim(chain, self._free, point, solution.q, dt_s)
             self._aimed = first.q
             return first, False
-        found = aim(chain, self._free, point, self._aimed, dt_s)
+        found = aim(chain, self._free, point, present, dt_s)
         if not found.reachable:
             other = aim(chain, self._free, point, solution.q, dt_s)
             missed = float(np.linalg.norm(found.tip - point.position))
             if missed - float(np.linalg.norm(other.tip - point.position)) > _BETTER_M:
                 found = other
-        switched = bool(np.abs(found.q - self._aimed).max() > BRANCH_RAD)
+        switched = bool(np.abs(found.q - present).max() > BRANCH_RAD)
+        if switched and not found.reachable:
+            # there is time for a longer way: the nearest branch might be at its end when the target is back in reach
+            found = max(
+                (found, *self._twins(chain, point, dt_s, found)), key=lambda each: self._worth_s(chain, present, each)
+            )
         self._aimed = found.q
         if switched:
             self._counters.add("branch_switch")
         return found, switched
+
+    def _twins(self, chain: Chain, point: Moving, dt_s: float, found: Aim) -> Iterator[Aim]:
+        """The same tip on the branch where joint 1 is half a turn away."""
+        for q in within(chain, twins(found.q)):
+            yield aim(chain, self._free, point, q, dt_s)
+
+    def _worth_s(self, chain: Chain, present: Array, other: Aim) -> float:
+        """How long a branch goes on until joint 1 is at its limit, in which alone twins differ, less the way to it."""
+        way_s = float(np.max(np.abs(other.q - present) / self._limits.speed(chain)))
+        rate, (lower, upper) = float(other.velocity[0]), chain.limits[0]
+        room = float(upper - other.q[0] if rate > 0 else other.q[0] - lower)
+        return min(room / max(abs(rate), 1e-9), _FORESEEN_S) - way_s
