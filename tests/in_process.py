@@ -65,6 +65,8 @@ class Bench:
     motion: MotionOptions = field(default_factory=MotionOptions)
     limits: MotionLimits = field(default_factory=MotionLimits)
     lost: Callable[[float, str], bool] = lambda _t, _name: False
+    mistaken: Callable[[float], bool] = lambda _t: False
+    """Whether vision takes the box for the sphere."""
     seed: int = 0
     stopped: bool = False
 
@@ -146,6 +148,8 @@ class Bench:
         message = JointPositions(capture_time=to_timestamp(self.sim.capture_ns))
         for name in (*MARKERS, *BODIES):
             geom = f"marker_{name}" if name in MARKERS else name
+            if name == "target_sphere" and self.mistaken(t):
+                geom = "target_box"
             place = self.world.data.geom(geom).xpos + self.rng.normal(0.0, self.sigma_m, 3)
             marker = MarkerPosition(name=name, status=MARKER_STATUS_TRACKED)
             if self.lost(t, name):

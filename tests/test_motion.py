@@ -116,6 +116,14 @@ def test_the_tip_stays_a_metre_from_the_sphere_wherever_that_is_reached(free: st
     assert_bounds(bench)
 
 
+def test_a_box_that_is_taken_for_the_sphere_for_some_frames_moves_nothing() -> None:
+    bench = Bench("follow", mistaken=lambda t: any(abs(t - middle) < 0.06 for middle in (3.6, 3.9, 5.0)))
+    bench.run(3)
+    assert rms(beside_errors(bench.run(4))) < 0.02
+    assert bench.counters.snapshot()["body_jump"] > 5
+    assert_bounds(bench)
+
+
 def test_a_branch_is_left_while_the_sphere_is_out_of_reach_so_that_it_lasts_while_it_is_in_reach() -> None:
     bench = Bench("follow", sigma_m=0.003, seed=3)
     bench.run(4)

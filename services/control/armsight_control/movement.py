@@ -188,7 +188,7 @@ class Movement:
         planner = Planner(arm.chain, self._limits)
         detours = Detours(arm.chain, self._limits, planner, capsules_of(message, arm.chain))
         names = body_names(message)
-        self._body = Body(arm, last_links, planner, detours, names, Sight(arm, last_links, names))
+        self._body = Body(arm, last_links, planner, detours, names, Sight(arm, last_links, names, self._counters))
         self._target = self._track = None
         self._pointing.forget()
         self.begin_anew()
@@ -215,7 +215,7 @@ class Movement:
         self._now_ns = 0
         body = self._body
         if body is not None:
-            self._body = replace(body, sight=Sight(body.arm, body.last_links, body.bodies))
+            self._body = replace(body, sight=Sight(body.arm, body.last_links, body.bodies, self._counters))
         self.rest()
 
     def aim(self, message: Point3InFrame) -> None:
