@@ -163,12 +163,17 @@ class Bench:
         return np.asarray(self.world.data.site("tip").xpos - BASE)
 
     def clearance(self) -> float:
-        data, box = self.world.data, np.array(visible_box(self.t))
-        places = [data.body("link3").xpos, data.body("link4").xpos, data.site("tip").xpos]
-        return min(
-            segment_distance(places[0], places[1], box) - 0.2,
-            segment_distance(places[1], places[2], box) - 0.1,
-        )
+        return clearance_of(self.world.data, self.t)
+
+
+def clearance_of(data: mujoco.MjData, t: float) -> float:
+    """Of the links' surfaces to the centre of the box, by the true pose."""
+    box = np.array(visible_box(t))
+    places = [data.body("link3").xpos, data.body("link4").xpos, data.site("tip").xpos]
+    return min(
+        segment_distance(places[0], places[1], box) - 0.2,
+        segment_distance(places[1], places[2], box) - 0.1,
+    )
 
 
 def segment_distance(start: Vector, end: Vector, point: Vector) -> float:

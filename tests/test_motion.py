@@ -10,7 +10,7 @@ from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from in_process import BASE, BODIES, MARKERS, Bench, Moment, Vector, rms
+from in_process import BASE, BODIES, MARKERS, Bench, Moment, Vector, clearance_of, rms
 
 from armsight import topics
 from armsight.bus import Received
@@ -29,7 +29,7 @@ from armsight_control.detour import KEEP_M
 from armsight_control.modes import NAMES, Mode
 from armsight_control.movement import MotionOptions
 from armsight_sim.targets import TARGETS
-from armsight_sim.world import load_model
+from armsight_sim.world import load_model, longer_links
 from rig import Rig
 
 START = "2024-05-01T12:00:00Z"
@@ -253,8 +253,10 @@ def test_whatever_happens_in_whatever_order_no_command_breaks_a_limit(
 # --- the whole stack
 
 
-def recorded(rig: Rig, instants: int) -> list[Moment]:
-    """True tips and statuses from the start on, joined by instant."""
+def recorded(
+    rig: Rig, instants: int, *, model_error: float = 0.0, begin: Callable[[], None] = lambda: None
+) -> list[Moment]:
+    """True tips and statuses from the start on, joined by instant; ``begin`` is called once sim is there."""
     statuses: dict[int, ControlStatus] = {}
     truths: dict[int, JointStates] = {}
 
@@ -270,17 +272,17 @@ def recorded(rig: Rig, instants: int) -> list[Moment]:
     rig.bus.subscriber(topics.JOINTS_TRUE, keep=1000, on_message=keep_truth)
     rig.wait_until(lambda: rig.heard_of("vision") and rig.heard_of("control"), 20, "vision and control are there")
     rig.start("sim")
+    rig.wait_until(lambda: len(statuses) > 1, 20, "the first answers")
+    begin()
     rig.wait_until(lambda: min(len(truths), len(statuses)) > instants, 120, f"{instants} instants")
-    data = mujoco.MjData(model := load_model())
-    begin = min(truths)
+    data = mujoco.MjData(model := longer_links(load_model(), model_error))
+    first = min(truths)
     moments = []
     for stamp in sorted(set(truths) & set(statuses))[:instants]:
         data.qpos[:] = [joint.position for joint in truths[stamp].joints]
         mujoco.mj_kinematics(model, data)
-        tip = np.array(data.site("tip").xpos) - BASE
-        moments.append(
-            Moment((stamp - begin) / NS_PER_S, tip, data.qpos.copy(), np.zeros(4), 0.0, None, statuses[stamp], np.nan)
-        )
+        tip, t = np.array(data.site("tip").xpos) - BASE, (stamp - first) / NS_PER_S
+        moments.append(Moment(t, tip, data.qpos.copy(), np.zeros(4), 0.0, None, statuses[stamp], clearance_of(data, t)))
     return moments
 
 
@@ -290,9 +292,37 @@ def test_through_the_whole_stack_the_tip_keeps_up_with_the_default_target(make_r
     assert rms(tip_errors(moments[90:], "default")) < 0.02
 
 
+def test_through_the_whole_stack_the_tip_keeps_up_with_the_exercises_target(make_rig: Callable[..., Rig]) -> None:
+    rig = make_rig(clock="lockstep", start_time=START, target="exercise", mode="track")
+    reached = [moment for moment in recorded(rig, 210)[100:] if moment.status.target_reachable]
+    assert len(reached) > 60
+    assert rms(tip_errors(reached, "exercise")) < 0.02
+
+
+@pytest.mark.parametrize("error", [0.01, -0.01])
+def test_through_the_whole_stack_an_arm_that_is_not_as_described_reaches_the_target(
+    make_rig: Callable[..., Rig], error: float
+) -> None:
+    extra = {"sim": ["--model-error", str(error)]}
+    rig = make_rig(clock="lockstep", start_time=START, target="default", mode="track", extra=extra)
+    moments = recorded(rig, 180, model_error=error)
+    assert rms(tip_errors(moments[120:], "default")) < 0.005
+
+
 def test_through_the_whole_stack_the_tip_stays_a_metre_from_the_sphere(make_rig: Callable[..., Rig]) -> None:
     rig = make_rig(clock="lockstep", start_time=START, target="visible", mode="follow")
     moments = recorded(rig, 180)
     reached = [moment for moment in moments[90:] if moment.status.target_reachable]
     assert len(reached) > 60
     assert rms(beside_errors(reached)) < 0.04
+
+
+@pytest.mark.parametrize("avoid", [False, True])
+def test_through_the_whole_stack_the_links_keep_off_the_box(make_rig: Callable[..., Rig], avoid: bool) -> None:
+    # joint 1 turns the arm through where the box is
+    begin, end = (-2.2, 0.0, -1.0, 0.3), (0.2, 0.0, -1.0, 0.3)
+    extra = {"sim": ["--pose", *map(str, begin)], "control": ["--avoid-box"] if avoid else []}
+    rig = make_rig(clock="lockstep", start_time=START, target="visible", mode="hold", extra=extra)
+    moments = recorded(rig, 150, begin=lambda: rig.mode("joints", end))
+    least = min(moment.clearance_m for moment in moments)
+    assert (least >= KEEP_M) == avoid, f"{least:.2f} m"
