@@ -4,31 +4,29 @@ The same instant gets the same answer again without anything moving on. Everythi
 ends in an answer that holds, with its reason counted.
 """
 
+import math
 from dataclasses import dataclass
 
-import numpy as np
 from foxglove_schemas_protobuf.JointState_pb2 import JointState
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 
 from armsight.counters import Counters
-from armsight.times import NS_PER_S, to_duration, to_timestamp
+from armsight.times import NS_PER_S, from_timestamp, to_duration, to_timestamp
 from armsight.v1.control_pb2 import (
-    CONTROL_MODE_HOLD,
-    CONTROL_MODE_JOINTS,
+    CONTROL_MODE_FOLLOW,
     CONTROL_MODE_TEST_1,
-    CONTROL_MODE_TEST_2,
-    CONTROL_MODE_TEST_ALL,
     CONTROL_MODE_TRACK,
     CONTROL_STATE_BLIND,
-    CONTROL_STATE_HOLDING,
-    CONTROL_STATE_MOVING,
     CONTROL_STATE_STOPPED,
     CONTROL_STATE_WAITING,
+    SAFETY_CODE_NOT_READY,
+    SAFETY_CODE_OK,
+    SAFETY_CODE_STOPPED,
     ControlMode,
-    ControlState,
     ControlStatus,
     JointEstimate,
+    SafetyCode,
 )
 from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.geometry_pb2 import Vector3
@@ -36,11 +34,13 @@ from armsight.v1.joints_pb2 import JointCommand, JointPositions, JointSetpoint
 from armsight.v1.safety_pb2 import StopState
 from armsight_control import safety
 from armsight_control.chain import Array
+from armsight_control.decision import Decision, blind_code
 from armsight_control.description import Arm, arm_of
 from armsight_control.errors import ControlError, PositionsError, SetpointError, SolverError
 from armsight_control.estimators import Estimate, Observer, all_joints, check_estimator, part1, part2
 from armsight_control.kinematics import forward, links_of
 from armsight_control.modes import Mode
+from armsight_control.movement import MotionOptions, Movement
 from armsight_control.positions import (
     DistanceBounds,
     capture_of,
@@ -48,30 +48,14 @@ from armsight_control.positions import (
     positions_of,
 )
 from armsight_control.setpoints import Setpoints, setpoint_of
-from armsight_control.solvers import REPORT_FREE, Options, Problem, Solution, Status
-from armsight_control.solvers.start import perturbed
-from armsight_control.tracking import Target, target_of
-from armsight_control.trajectory import (
-    ARRIVED_RAD,
-    Motion,
-    MotionLimits,
-    OnPath,
-    Step,
-    all_motion,
-    along,
-    part1_motion,
-    part2_motion,
-    towards,
-)
+from armsight_control.solvers import Options, Problem, Solution
+from armsight_control.tracking import Target
+from armsight_control.trajectory import MotionLimits, Step
 
 # How long a command counts, in simulated time: MoveIt Servo's default.
 VALID_FOR_S = 0.1
 # Since an answer that is not known: sim's 30 frames a second.
 _PERIOD_S = 1 / 30
-# Descents that go on from one another for one target that does not move, before it is left at that.
-_MOST_DESCENTS = 60
-
-_PATHS = {CONTROL_MODE_TEST_1: part1_motion, CONTROL_MODE_TEST_2: part2_motion, CONTROL_MODE_TEST_ALL: all_motion}
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,30 +79,13 @@ class _Body:
     bounds: DistanceBounds
 
 
-@dataclass(frozen=True, slots=True)
-class _Decision:
-    """Where to, or why not."""
-
-    state: ControlState
-    detail: str
-    setpoint: Array | None = None
-    reason: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Solved:
-    """The newest solution and what it is for."""
-
-    target: Target
-    solution: Solution
-
-
 class Loop:
     """State of the control loop; called by one thread at a time."""
 
     def __init__(
         self,
         limits: MotionLimits,
+        motion: MotionOptions,
         options: Options,
         seed: int,
         counters: Counters,
@@ -127,8 +94,7 @@ class Loop:
         """Knows neither arm nor setpoint yet, and holds."""
         self._estimator = check_estimator(estimator)
         self._limits = limits
-        self._options = options
-        self._rng = np.random.default_rng(seed)
+        self._movement = Movement(limits, motion, options, seed, counters)
         self._counters = counters
         self._body: _Body | None = None
         self._unusable = "no description of the arm yet: is sim running?"
@@ -136,14 +102,8 @@ class Loop:
         self._accepted: JointStates | None = None
         self._setpoints = Setpoints()
         self._stop: StopState | None = None
-        self._mode = Mode(CONTROL_MODE_HOLD)
-        self._motion = Motion()
-        self._path = OnPath(0.0)
         self._estimate: Estimate | None = None
         self._target_message: Point3InFrame | None = None
-        self._target: Target | None = None
-        self._solved: Solved | None = None
-        self._descents = 0
         self._last: Answer | None = None
 
     # --- what arrives beside the positions
@@ -156,7 +116,7 @@ class Loop:
     @property
     def mode(self) -> ControlMode:
         """The mode in force."""
-        return self._mode.mode
+        return self._movement.mode
 
     @property
     def answered(self) -> bool:
@@ -185,11 +145,12 @@ class Loop:
             return
         self._description, self._body = serialised, None
         self._setpoints.forget()
-        self._rest()
+        self._movement.rest()
         try:
             links_of(arm.chain)
-            observer = Observer(self._estimator, arm, last_links_of(arm), self._counters)
-            self._body = _Body(arm, observer, DistanceBounds(arm))
+            links = last_links_of(arm)
+            self._body = _Body(arm, Observer(self._estimator, arm, links, self._counters), DistanceBounds(arm))
+            self._movement.describe(arm, links, message)
         except ControlError as error:
             self._counters.add("description_unsupported")
             self._unusable = f"this arm can't be controlled: {error}"
@@ -209,8 +170,8 @@ class Loop:
         except SetpointError:
             self._counters.add("accepted_refused")
             return
-        if self._setpoints.accept(q):
-            self._rest()
+        if self._setpoints.accept(q, from_timestamp(message.timestamp)):
+            self._movement.rest()
 
     def stop(self, message: StopState) -> None:
         """Takes the stop's state."""
@@ -219,56 +180,35 @@ class Loop:
     def aim(self, message: Point3InFrame) -> None:
         """Takes a target."""
         self._target_message = message
-        if self._body is None:
-            return
         try:
-            self._target = target_of(message, self._body.arm)
+            self._movement.aim(message)
         except SolverError:
             self._counters.add("target_refused")
 
     def set_mode(self, mode: Mode) -> None:
         """Takes a mode that was checked, from the next answer on."""
-        self._mode = mode
-        self._path = OnPath(mode.start_s)
-        self._motion = Motion()
-        self._solved, self._descents = None, 0
+        self._movement.set_mode(mode)
 
     def begin_anew(self) -> None:
         """Sim is another one than before: its time may begin anywhere."""
         self._last = None
-        self._rest()
+        self._movement.begin_anew()
 
     # --- inverse kinematics beside the loop
 
     @property
     def target(self) -> Target | None:
         """The newest target."""
-        return self._target
+        return self._movement.target
 
     def problem(self) -> tuple[Target, Problem] | None:
-        """What `track` wants solved now: warm-started from the last solution, first of all from the setpoint."""
+        """What `track` or `follow` wants solved now."""
         setpoint = self.setpoint
-        if self.mode != CONTROL_MODE_TRACK or self._body is None or self._target is None or setpoint is None:
-            return None
-        start, solved = setpoint, self._solved
-        if solved is not None:
-            start = solved.solution.q
-            if np.array_equal(solved.target.position, self._target.position):
-                if solved.solution.converged or self._descents >= _MOST_DESCENTS:
-                    return None
-            else:
-                self._descents = 0
-        chain = self._body.arm.chain
-        if solved is None or not solved.solution.converged:
-            # straight poses are saddles of the error: a descent that starts on one exactly stays there
-            start = perturbed(chain, start, self._rng)
-        return self._target, Problem(chain, self._target.position, start, REPORT_FREE, self._options)
+        return None if setpoint is None else self._movement.problem(setpoint)
 
     def solved(self, target: Target, solution: Solution) -> None:
         """Takes a solution for a target."""
-        self._counters.add(f"ik_{solution.status.name.lower()}")
-        self._descents += 1
-        self._solved = Solved(target, solution)
+        self._movement.solved(target, solution)
 
     # --- the answer
 
@@ -292,35 +232,46 @@ class Loop:
             )
         decision = self._decide(message, capture_ns, age_s)
         if decision.setpoint is None:
-            self._rest()
+            self._movement.rest()
         else:
             self._setpoints.command(capture_ns, decision.setpoint)
+        if decision.safety != SAFETY_CODE_OK:
+            self._counters.add(SafetyCode.Name(decision.safety).lower().replace("_code", ""))
         self._counters.add("answered" if decision.setpoint is not None else f"held_{decision.reason or 'no_motion'}")
         self._last = self._answer(message, capture_ns, decision)
         return self._last
 
-    def _rest(self) -> None:
-        self._motion = Motion()
-        self._path = self._path.left()
-
-    def _decide(self, message: JointPositions, capture_ns: int, age_s: float) -> _Decision:
+    def _decide(self, message: JointPositions, capture_ns: int, age_s: float) -> Decision:
         body = self._body
         if body is None:
-            return _Decision(CONTROL_STATE_WAITING, self._unusable, reason="no_description")
+            detail = self._unusable
+            return Decision(CONTROL_STATE_WAITING, detail, reason="no_description", safety=SAFETY_CODE_NOT_READY)
         setpoint = self._setpoints.in_force(capture_ns)
         if setpoint is None:
             detail = "no accepted setpoint yet: start sim, or reset it to a known pose"
-            return _Decision(CONTROL_STATE_WAITING, detail, reason="no_setpoint")
+            return Decision(CONTROL_STATE_WAITING, detail, reason="no_setpoint", safety=SAFETY_CODE_NOT_READY)
+        step = Step(capture_ns, self._since_s(capture_ns))
         try:
             estimate = self._look(message, body, setpoint, age_s)
+            self._movement.look(message, setpoint, step)
         except PositionsError as error:
-            return _Decision(CONTROL_STATE_BLIND, str(error), reason=error.reason)
+            code = blind_code(error.reason)
+            return Decision(CONTROL_STATE_BLIND, str(error), reason=error.reason, safety=code)
         self._estimate = estimate
         stopped = safety.stopped_by(self._stop)
         if stopped is not None:
-            return _Decision(CONTROL_STATE_STOPPED, stopped.detail, reason=stopped.reason)
-        since_s = _PERIOD_S if self._last is None else (capture_ns - self._last.capture_ns) / NS_PER_S
-        return self._move(body, setpoint, Step(capture_ns, min(since_s, VALID_FOR_S)))
+            code = SAFETY_CODE_STOPPED
+            return Decision(CONTROL_STATE_STOPPED, stopped.detail, reason=stopped.reason, safety=code)
+        return self._movement.move(setpoint, step, self._setpoints.lead_s)
+
+    def _since_s(self, capture_ns: int) -> float:
+        """How long a step the answer to an instant is."""
+        since_s = math.inf if self._last is None else (capture_ns - self._last.capture_ns) / NS_PER_S
+        if since_s <= VALID_FOR_S:
+            return since_s
+        # the last command has lapsed: the arm stands, and goes on from there
+        self._movement.rest()
+        return _PERIOD_S
 
     def _look(self, message: JointPositions, body: _Body, setpoint: Array, age_s: float) -> Estimate:
         positions = positions_of(message, body.arm)
@@ -331,39 +282,9 @@ class Loop:
         safety.check_astray(body.arm.chain, setpoint, tip, self._limits.speed_share)
         return estimate
 
-    def _move(self, body: _Body, setpoint: Array, step: Step) -> _Decision:
-        chain = body.arm.chain
-        motion, path = self._motion, self._path
-        goal = self._goal()
-        if isinstance(goal, str):
-            return _Decision(CONTROL_STATE_HOLDING, goal)
-        if goal is None:
-            following = _PATHS[self.mode]
-            wanted, path, motion = along(chain, following, path, setpoint, step, motion, self._limits)
-        elif np.abs(chain.clip(goal) - setpoint).max() <= ARRIVED_RAD:
-            return _Decision(CONTROL_STATE_HOLDING, "at its goal")
-        else:
-            wanted, motion = towards(chain, setpoint, goal, step.dt_s, motion, self._limits)
-        try:
-            safety.check_setpoint(chain, setpoint, wanted, step.dt_s)
-        except safety.UnsafeError as error:
-            return _Decision(CONTROL_STATE_HOLDING, str(error), reason="unsafe")
-        self._motion, self._path = motion, path
-        return _Decision(CONTROL_STATE_MOVING, "", wanted)
-
-    def _goal(self) -> Array | str | None:
-        """Where to: a configuration, why there is none, or nothing where the mode follows a path."""
-        if self.mode == CONTROL_MODE_JOINTS:
-            return self._mode.goal
-        if self.mode == CONTROL_MODE_TRACK:
-            if self._target is None:
-                return "no target yet: publish one on `target`"
-            return "the solver has no answer yet" if self._solved is None else self._solved.solution.q
-        return "mode hold" if self.mode == CONTROL_MODE_HOLD else None
-
     # --- messages
 
-    def _answer(self, message: JointPositions, capture_ns: int, decision: _Decision) -> Answer:
+    def _answer(self, message: JointPositions, capture_ns: int, decision: Decision) -> Answer:
         stamp = to_timestamp(capture_ns)
         command = JointCommand(
             answers=stamp,
@@ -377,6 +298,7 @@ class Loop:
             state=decision.state,
             detail=decision.detail,
             stages=message.stages,
+            safety=decision.safety,
         )
         estimated = JointStates(timestamp=stamp)
         if self._body is not None:
@@ -406,12 +328,20 @@ class Loop:
             status.tip.CopyFrom(_vector(forward(self._body.arm.chain, estimate.angles)))
 
     def _fill_target(self, status: ControlStatus) -> None:
-        if self.mode != CONTROL_MODE_TRACK or self._target is None:
+        movement = self._movement
+        if movement.clearance_m is not None:
+            status.clearance_m = movement.clearance_m
+        if self.mode not in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW):
             return
-        status.target.CopyFrom(_vector(self._target.position))
-        if self._solved is not None:
-            status.reached.CopyFrom(_vector(self._solved.solution.tip))
-            status.target_reachable = self._solved.solution.status != Status.UNREACHABLE
+        status.correction.CopyFrom(_vector(movement.correction))
+        if movement.target is not None and self.mode == CONTROL_MODE_TRACK:
+            status.target.CopyFrom(_vector(movement.target.position))
+        pointed = movement.pointed
+        if pointed is not None:
+            if self.mode == CONTROL_MODE_FOLLOW:
+                status.target.CopyFrom(_vector(pointed.target))
+            status.reached.CopyFrom(_vector(pointed.reached))
+            status.target_reachable = pointed.reachable
 
 
 def _vector(values: Array) -> Vector3:

@@ -27,6 +27,7 @@ NAMES: dict[str, ControlMode] = {
     "test-2": CONTROL_MODE_TEST_2,
     "test-all": CONTROL_MODE_TEST_ALL,
     "track": CONTROL_MODE_TRACK,
+    "follow": CONTROL_MODE_FOLLOW,
 }
 
 INITIAL_NAMES = tuple(name for name in NAMES if name != "joints")
@@ -53,8 +54,6 @@ def mode_of(request: SetModeRequest, chain: Chain | None) -> Mode:
         ModeError: an unknown mode, or one that can't be taken now.
         SetpointError: joints that this arm can't take.
     """
-    if request.mode == CONTROL_MODE_FOLLOW:
-        raise ModeError("follow is not built yet: publish a target and take the mode track")
     if request.mode not in NAMES.values():
         raise ModeError(f"no mode {request.mode}; there are {', '.join(NAMES)}")
     if not 0 <= request.start_s <= _MAX_START_S:

@@ -1,4 +1,4 @@
-"""Keeps the solver at what `track` wants: one solve at a time, always for the newest target."""
+"""Keeps the solver at what `track` and `follow` want: one solve at a time, always for the newest target."""
 
 import threading
 from collections import deque
@@ -8,7 +8,7 @@ from time import monotonic, sleep
 import numpy as np
 
 from armsight.times import from_timestamp
-from armsight.v1.control_pb2 import CONTROL_MODE_TRACK
+from armsight.v1.control_pb2 import CONTROL_MODE_FOLLOW, CONTROL_MODE_TRACK
 from armsight.v1.joints_pb2 import JointPositions
 from armsight_control.errors import ControlError
 from armsight_control.loop import Loop
@@ -49,10 +49,13 @@ class Pursuit:
 
     def catch_up(self, positions: JointPositions, stop: threading.Event) -> None:
         """Waits for the solution of the present target, so that runs in lockstep repeat; bounded."""
-        if self._loop.mode != CONTROL_MODE_TRACK:
-            return
+        previous_ns, capture_ns = self._previous_capture_ns, from_timestamp(positions.capture_time)
+        self._previous_capture_ns = capture_ns
+        if capture_ns == previous_ns or self._loop.mode not in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW):
+            return  # what was answered gets that answer again: the next instant's positions would grow old meanwhile
         until = monotonic() + _MOST_WAIT_S
-        self._await_target(from_timestamp(positions.capture_time))
+        if self._loop.mode == CONTROL_MODE_TRACK:
+            self._await_target(previous_ns, capture_ns)
         if self._job is not None and not self._finish(until, stop):
             return
         self._ask()
@@ -86,10 +89,9 @@ class Pursuit:
         with self._lock:
             self._loop.solved(target, solved.solution)
 
-    def _await_target(self, capture_ns: int) -> None:
+    def _await_target(self, previous_ns: int, capture_ns: int) -> None:
         """Where targets come with the frames (sim's moving target), waits for the one of this instant."""
-        with_frames = self._target_stamp_ns() in (self._previous_capture_ns, capture_ns)
-        self._previous_capture_ns = capture_ns
+        with_frames = self._target_stamp_ns() in (previous_ns, capture_ns)
         until = monotonic() + _TARGET_WAIT_S
         while with_frames and self._target_stamp_ns() < capture_ns and monotonic() < until:
             sleep(0.001)

@@ -1,13 +1,16 @@
 """The last word before a command: why the arm must not move now, and whether a setpoint keeps every limit."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from armsight.v1.safety_pb2 import StopState
+from armsight_control.bodies import Seen
 from armsight_control.chain import Array, Chain
 from armsight_control.errors import ControlError, PositionsError
 from armsight_control.kinematics import forward
+from armsight_control.trajectory import MotionLimits
 
 # Positions that waited longer in this process, by its own monotonic clock, say where the arm was, not where it is.
 MAX_AGE_S = 0.1
@@ -17,7 +20,22 @@ MAX_AGE_S = 0.1
 _ASTRAY_AT_REST_M = 0.5
 _ASTRAY_DELAY_S = 0.3
 
+# What the tip may do between two instants that was not commanded: half-hidden markers jump by 0.1 m and more, and
+# for every metre commanded a part comes an instant earlier or later.
+_SURPRISE_M = 0.3
+_SURPRISE_SIGMAS = 5.0
+_SURPRISE_SHARE = 0.5
+# The third instant in a row that says the same is right.
+_SURPRISES = 2
+
+# Slower from here on towards a singularity (m/rad, the Jacobian's smallest singular value), down to a share.
+_SINGULAR_FROM_M = 0.5
+_SINGULAR_TO_M = 0.1
+_SINGULAR_SHARE = 0.3
+
+# Rounding of angles of some radians, and what it makes of second differences over a thirtieth of a second.
 _ROUNDING_RAD = 1e-9
+_ROUNDING_RAD_S = 1e-6
 
 
 class UnsafeError(ControlError):
@@ -59,18 +77,85 @@ def check_astray(chain: Chain, setpoint: Array, tip: Array, speed_share: float) 
         raise PositionsError("astray", f"the tip is {off:.1f} m from where the setpoint puts it: is the arm blocked?")
 
 
-def check_setpoint(chain: Chain, before: Array, setpoint: Array, dt_s: float) -> None:
-    """Refuses a setpoint that breaks a limit.
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """The tip as it was last seen, and where it was commanded to be at that instant; base frame."""
+
+    seen: Seen
+    commanded: Array
+    surprises: int = 0
+    """Instants in a row, up to this one, whose tip was not where it could have got to."""
+
+
+def expect(before: Expected | None, seen: Seen, commanded: Array) -> Expected:
+    """Takes the tip of one more instant, and says where the innovation test stands.
+
+    The tip is compared with where it was last believed to be, moved as it was commanded to: a marker that is taken for
+    another jumps, whatever the arm does. The third surprise in a row is believed: the arm is there then.
+    """
+    if before is None:
+        return Expected(seen, commanded)
+    moved = commanded - before.commanded
+    surprise = float(np.linalg.norm(seen.position - before.seen.position - moved))
+    allowed = _SURPRISE_M + _SURPRISE_SHARE * float(np.linalg.norm(moved))
+    allowed += _SURPRISE_SIGMAS * (seen.sigma_m + before.seen.sigma_m)
+    if surprise <= allowed or before.surprises >= _SURPRISES:
+        return Expected(seen, commanded)
+    return Expected(before.seen, before.commanded, before.surprises + 1)
+
+
+def check_expected(expected: Expected) -> None:
+    """Refuses positions whose tip is a surprise.
 
     Raises:
-        UnsafeError: not finite, outside of the limits, or faster than a joint may go.
+        PositionsError: it moved as nobody told it to.
+    """
+    if expected.surprises:
+        raise PositionsError("innovation", "the tip jumped: is a marker taken for another?")
+
+
+def slow_for_singularity(present_m: float, ahead_m: Callable[[], float]) -> float:
+    """Share of the speed limits to keep to, by the Jacobian's smallest singular value now and where the arm goes.
+
+    The way out of a singularity is free.
+    """
+    if present_m >= _SINGULAR_FROM_M or ahead_m() >= present_m:
+        return 1.0
+    into = (_SINGULAR_FROM_M - present_m) / (_SINGULAR_FROM_M - _SINGULAR_TO_M)
+    return max(_SINGULAR_SHARE, 1.0 - (1.0 - _SINGULAR_SHARE) * into)
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """The step to the setpoint in force: what the next one's acceleration is measured from."""
+
+    velocity: Array
+    """Mean over that step, rad/s."""
+    dt_s: float
+
+
+def check_setpoint(chain: Chain, limits: MotionLimits, before: Array, pace: Pace, setpoint: Array, dt_s: float) -> Pace:
+    r"""Refuses a setpoint that breaks a limit; returns its own pace.
+
+    Between two steps the mean velocity may change by :math:`a_{max} (dt_1 + dt_2)/2`: no motion within the
+    acceleration can do more.
+
+    Raises:
+        UnsafeError: not finite, outside of the limits, faster than a joint may go, or sooner than it may get there.
     """
     if not np.isfinite(setpoint).all():
         raise UnsafeError(f"setpoint {setpoint.tolist()} is not finite")
     if (setpoint < chain.limits[:, 0]).any() or (setpoint > chain.limits[:, 1]).any():
         raise UnsafeError(f"setpoint {setpoint.tolist()} is outside of the limits")
-    if (np.abs(setpoint - before) > chain.max_speed * dt_s + _ROUNDING_RAD).any():
+    if dt_s <= 0:
+        raise UnsafeError(f"setpoint {setpoint.tolist()} is for no time at all")
+    if (np.abs(setpoint - before) > limits.speed(chain) * dt_s + _ROUNDING_RAD).any():
         raise UnsafeError(f"setpoint {setpoint.tolist()} is farther than the joints' speed allows in {dt_s:.3f} s")
+    velocity = (setpoint - before) / dt_s
+    allowed = limits.acceleration_rad_s2 * (dt_s + pace.dt_s) / 2
+    if (np.abs(velocity - pace.velocity) > allowed + _ROUNDING_RAD_S + 2 * _ROUNDING_RAD / dt_s).any():
+        raise UnsafeError(f"setpoint {setpoint.tolist()} needs more than {limits.acceleration_rad_s2:g} rad/s²")
+    return Pace(velocity, dt_s)
 
 
 def stopped_by(stop: StopState | None) -> Hold | None:

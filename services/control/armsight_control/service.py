@@ -28,6 +28,7 @@ from armsight.topics import (
     TARGET,
 )
 from armsight.v1.control_pb2 import (
+    CONTROL_MODE_FOLLOW,
     CONTROL_MODE_TRACK,
     CONTROL_STATE_BLIND,
     CONTROL_STATE_WAITING,
@@ -56,7 +57,8 @@ class Service:
         bus = context.bus
         self._context = context
         self._lock = threading.Lock()
-        self._loop = Loop(settings.motion, settings.ik, settings.seed, bus.counters, settings.estimator)
+        motion, way, ik = settings.motion, settings.way, settings.ik
+        self._loop = Loop(motion, way, ik, settings.seed, bus.counters, settings.estimator)
         self._loop.set_mode(Mode(NAMES[settings.mode]))
         self._pursuit = Pursuit(self._loop, self._lock, settings.solver)
         self._queries = Queries(self._loop, self._lock, self._pursuit.solvers, settings)
@@ -124,7 +126,7 @@ class Service:
             health.report(HEALTH_STATUS_DEGRADED, status.detail)
         elif solver.trouble:
             health.report(HEALTH_STATUS_DEGRADED, solver.trouble)
-        elif status.mode == CONTROL_MODE_TRACK and solver.loading:
+        elif status.mode in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW) and solver.loading:
             health.report(HEALTH_STATUS_WAITING, "solver loading")
         else:
             health.report(HEALTH_STATUS_OK, "solver loading" if solver.loading else solver.note)

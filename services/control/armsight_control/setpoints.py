@@ -1,14 +1,17 @@
 """The setpoint in force: what sim last accepted, and what was commanded since.
 
-A setpoint is memory, not a measurement: it settles the twin and is where every motion begins.
+A setpoint is memory, not a measurement: it settles the twin and is where every motion begins. How long commands take
+to be in force is told by the capture time from which sim says that they are.
 """
 
 from collections import deque
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
+from armsight.times import NS_PER_S
 from armsight_control.chain import Array, Chain
 from armsight_control.errors import SetpointError
 
@@ -19,6 +22,10 @@ _OUTSIDE_RAD = 1e-3
 _UNCONFIRMED_NS = 300_000_000
 # After this long without a command, what sim says counts alone: its watchdog has stopped the arm.
 _RECENT_NS = 150_000_000
+# Until a command was seen in force: one frame of sim's 30 a second.
+_FIRST_LEAD_S = 1 / 30
+_LEADS = 15
+_LONGEST_LEAD_S = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,17 +74,32 @@ class Setpoints:
         self._accepted: Array | None = None
         self._last: Commanded | None = None
         self._unconfirmed: deque[Commanded] = deque(maxlen=64)
+        self._leads_s: deque[float] = deque(maxlen=_LEADS)
 
-    def accept(self, q: Array) -> bool:
-        """Takes what sim says is in force; true where it is none of the commands sent (a reset, a limit, a stop)."""
-        if self._accepted is not None and np.abs(q - self._accepted).max() < _SAME_RAD:
-            return False
+    @property
+    def lead_s(self) -> float:
+        """From the capture time that a command answers to that of the first frame in which it is in force, lately."""
+        return median(self._leads_s) if self._leads_s else _FIRST_LEAD_S
+
+    def accept(self, q: Array, capture_ns: int | None = None) -> bool:
+        """Takes what sim says is in force; true where it is none of the commands sent (a reset, a limit, a stop).
+
+        Args:
+            q: the setpoint.
+            capture_ns: of the first frame in which it is in force, if that is known.
+        """
+        same = self._accepted is not None and np.abs(q - self._accepted).max() < _SAME_RAD
         self._accepted = q
         for i, sent in enumerate(self._unconfirmed):
             if np.abs(sent.q - q).max() < _SAME_RAD:
+                lead_s = 0.0 if capture_ns is None else (capture_ns - sent.capture_ns) / NS_PER_S
+                if 0 < lead_s <= _LONGEST_LEAD_S:
+                    self._leads_s.append(lead_s)
                 for _ in range(i + 1):
                     self._unconfirmed.popleft()
                 return False
+        if same:
+            return False
         self._last = None
         self._unconfirmed.clear()
         return True

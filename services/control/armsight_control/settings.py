@@ -5,8 +5,11 @@ from dataclasses import dataclass
 
 from armsight.service import add_service_arguments
 from armsight_control import estimators
+from armsight_control.aiming import FREE_JOINTS
+from armsight_control.detour import KEEP_M
 from armsight_control.errors import ControlError
 from armsight_control.modes import INITIAL_NAMES
+from armsight_control.movement import MotionOptions
 from armsight_control.solvers.options import GradientDescentOptions, Options
 from armsight_control.solvers.start import INITIALISATIONS, Initialisation
 from armsight_control.trajectory import MotionLimits
@@ -23,6 +26,7 @@ class Settings:
     seed: int
     ik: Options
     motion: MotionLimits
+    way: MotionOptions
 
     def __post_init__(self) -> None:
         """Refuses what can't work."""
@@ -32,7 +36,7 @@ class Settings:
 
 def parser() -> argparse.ArgumentParser:
     """The flags of `armsight-control`."""
-    defaults, motion = GradientDescentOptions(), MotionLimits()
+    defaults, motion, way = GradientDescentOptions(), MotionLimits(), MotionOptions()
     flags = argparse.ArgumentParser(
         prog="armsight-control",
         description="Turns joint positions into joint angles and commands the joints; runs until SIGTERM.",
@@ -50,7 +54,24 @@ def parser() -> argparse.ArgumentParser:
         "--speed", type=float, default=motion.speed_share, help="share of the joints' speed (default: %(default)s)"
     )
     control.add_argument(
-        "--ramp", type=float, default=motion.ramp_s, help="seconds from rest to that speed (default: %(default)s)"
+        "--acceleration",
+        type=float,
+        default=motion.acceleration_rad_s2,
+        help="of each joint, rad/s² (default: %(default)s)",
+    )
+    control.add_argument(
+        "--jerk", type=float, default=motion.jerk_rad_s3, help="of each joint, rad/s³ (default: %(default)s)"
+    )
+    control.add_argument(
+        "--free-joints",
+        choices=FREE_JOINTS,
+        default=way.free_joints,
+        help="of track and follow: 3 keeps joint 2 at 0 as the report does, all uses it (default: %(default)s)",
+    )
+    control.add_argument(
+        "--avoid-box",
+        action="store_true",
+        help=f"keep every link {KEEP_M:g} m from the centre of the box that vision sees",
     )
     control.add_argument(
         "--seed", type=int, default=0, help="of all random numbers, so that runs repeat (default: %(default)s)"
@@ -90,5 +111,10 @@ def settings_of(arguments: argparse.Namespace) -> Settings:
         initialisation=arguments.initialisation,
         seed=arguments.seed,
         ik=Options(gradient_descent=descent),
-        motion=MotionLimits(speed_share=arguments.speed, ramp_s=arguments.ramp),
+        motion=MotionLimits(
+            speed_share=arguments.speed,
+            acceleration_rad_s2=arguments.acceleration,
+            jerk_rad_s3=arguments.jerk,
+        ),
+        way=MotionOptions(free_joints=arguments.free_joints, avoid_box=arguments.avoid_box),
     )

@@ -1,15 +1,34 @@
-"""From the target on the bus to the configuration that `track` moves to; the solver works beside the loop."""
+r"""A moving target: from stamped points to where it will be when the arm gets there.
 
-from dataclasses import dataclass
+A Kalman filter of constant acceleration, per axis :math:`\dot{x} = v, \dot{v} = a, \dot{a} \sim` white noise (the
+discrete white-noise-jerk model: Bar-Shalom, Li and Kirubarajan, Estimation with Applications, 2001, section 6.2). All
+axes share one covariance of state. A point that no motion explains is another target, not a velocity.
+"""
+
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 
+from armsight.times import NS_PER_S
 from armsight_control.chain import Array
 from armsight_control.description import Arm
 from armsight_control.errors import SolverError
 
 _MAX_TARGET_M = 1e4
+# Spectral density of the jerk, m²/s⁵: targets change acceleration by some 0.3 m/s³ over about a second.
+_JERK_DENSITY = 0.1
+# Of a target that is new: it may go at a metre a second or so, and accelerate as fast.
+_NEW_SPEED_SIGMA = 1.0
+_NEW_ACCELERATION_SIGMA = 1.0
+# A point is another target where it lies this far off, and this much beyond what is known of the motion.
+_JUMP_M = 0.3
+_JUMP_SIGMAS = 5.0
+# Without a point for this long the target is taken to rest at the last one.
+FORESEEN_S = 0.5
+# Stamps of a moving target are capture times: what is stamped otherwise says nothing of motion.
+_SAME_CLOCK_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,3 +63,83 @@ def finite_target(x: float, y: float, z: float) -> Array:
     if not (np.abs(point) < _MAX_TARGET_M).all():
         raise SolverError(f"target ({x:g}, {y:g}, {z:g}) is not finite and within {_MAX_TARGET_M:g} m")
     return point
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What is known of a moving point at the instant of its last measurement."""
+
+    stamp_ns: int
+    state: Array
+    """3 x 3: rows are position (m), velocity (m/s) and acceleration (m/s²); columns x, y, z."""
+    covariance: Array
+    """3 x 3, of one axis' position, velocity and acceleration."""
+    jumped: bool = False
+    """The last point was that of another target."""
+
+
+def begun(stamp_ns: int, position: Array, sigma_m: float) -> Track:
+    """A track of one point: how it moves is not known."""
+    spread = np.diag([sigma_m**2, _NEW_SPEED_SIGMA**2, _NEW_ACCELERATION_SIGMA**2])
+    return Track(stamp_ns, np.stack([position, np.zeros(3), np.zeros(3)]), spread)
+
+
+def observed(track: Track | None, stamp_ns: int, position: Array, sigma_m: float) -> Track:
+    """The track after one more point.
+
+    Args:
+        track: so far, if there is one.
+        stamp_ns: of the point; one that is not later than the track's last begins a new track where it differs.
+        position: (3,), metres.
+        sigma_m: standard deviation of the point, per axis.
+    """
+    if track is None:
+        return begun(stamp_ns, position, sigma_m)
+    dt = (stamp_ns - track.stamp_ns) / NS_PER_S
+    if dt <= 0 and np.array_equal(position, track.state[0]):
+        return replace(track, jumped=False)
+    if not 0 < dt <= FORESEEN_S:
+        moved = float(np.linalg.norm(position - track.state[0]))
+        return replace(begun(stamp_ns, position, sigma_m), jumped=moved > _JUMP_M)
+    carry = np.array([[1.0, dt, dt * dt / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+    noise = _JERK_DENSITY * np.array(
+        [
+            [dt**5 / 20, dt**4 / 8, dt**3 / 6],
+            [dt**4 / 8, dt**3 / 3, dt**2 / 2],
+            [dt**3 / 6, dt**2 / 2, dt],
+        ]
+    )
+    state, covariance = carry @ track.state, carry @ track.covariance @ carry.T + noise
+    innovation = position - state[0]
+    variance = float(covariance[0, 0]) + sigma_m**2
+    off = float(np.linalg.norm(innovation))
+    if off > _JUMP_M and off > _JUMP_SIGMAS * math.sqrt(variance):
+        return replace(begun(stamp_ns, position, sigma_m), jumped=True)
+    gain = covariance[:, 0] / variance
+    covariance = covariance - np.outer(gain, covariance[0])
+    return Track(stamp_ns, state + np.outer(gain, innovation), (covariance + covariance.T) / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Moving:
+    """A point in motion: metres and metres per second."""
+
+    position: Array
+    velocity: Array
+
+
+def predicted(track: Track, at_ns: int, now_ns: int, foreseen_s: float = FORESEEN_S) -> Moving:
+    """Where the target will be.
+
+    Args:
+        track: what is known of it.
+        at_ns: the instant asked for.
+        now_ns: the capture time that is answered: a target that is not stamped on that clock rests where it was last.
+        foreseen_s: so does one that was not heard of for longer.
+    """
+    x, v, a = track.state
+    since_s = (now_ns - track.stamp_ns) / NS_PER_S
+    if not -_SAME_CLOCK_S <= since_s <= foreseen_s:
+        return Moving(x, np.zeros(3))
+    dt = (at_ns - track.stamp_ns) / NS_PER_S
+    return Moving(x + v * dt + a * (dt * dt / 2), v + a * dt)

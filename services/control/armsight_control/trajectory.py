@@ -1,7 +1,12 @@
-r"""From a goal to setpoints: the report's sinusoids, and motion towards a goal under the joints' speed limits.
+r"""From a goal to setpoints that no joint can't follow: bounded in position, speed, acceleration and jerk.
 
-Setpoints are absolute and begin at the setpoint in force. All joints are scaled together, so that the arm moves along
-the straight line in joint space: it never takes a way through the twin.
+At every answer the way to the goal is planned anew from the state of the setpoint in force (Berscheid and Kröger,
+Jerk-limited Real-time Trajectory Generation with Arbitrary Target States, 2021: the package ruckig), and one step of it
+is taken. A goal that moves is planned to in its own frame, :math:`\tilde q = q - q_{goal} - \dot q_{goal} t`, where it
+rests: the plan meets it where it will be, and a setpoint that is there keeps up with it without a lag.
+
+The joint limits are kept by induction: a step is taken only where braking after it ends within them; else the joint
+brakes, as the step before has left room for.
 """
 
 import math
@@ -9,6 +14,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from ruckig import (
+    ControlInterface,
+    InputParameter,
+    Result,
+    Ruckig,
+    RuckigError,
+    Synchronization,
+    Trajectory,
+)
 
 from armsight.times import NS_PER_S
 from armsight_control.chain import Array, Chain
@@ -16,31 +30,219 @@ from armsight_control.errors import ControlError
 
 # One hundredth of a millimetre at the tip: what is nearer is there.
 ARRIVED_RAD = 1e-6
+# A goal may move with up to this share of the speed that is allowed: the rest is for catching up with it.
+_GOAL_SHARE = 0.9
+# An arm that is farther from a test's path was interrupted: it goes back to where it left.
+_OFF_PATH_RAD = 0.3
+_DERIVATIVE_S = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """How fast the arm may go towards a goal."""
+    """How fast the arm may go."""
 
     speed_share: float = 0.3
     """Of each joint's greatest speed."""
-    ramp_s: float = 0.25
-    """From rest to that speed, and back."""
+    acceleration_rad_s2: float = 6.0
+    """A third of what sim's setpoint allows (20): its actuators follow without saturating. 1.5 rad/s in a quarter
+    of a second."""
+    jerk_rad_s3: float = 60.0
+    """The acceleration builds up in a tenth of a second, three frames: faster than that frames can't show."""
 
     def __post_init__(self) -> None:
         """Refuses what no motion can keep."""
         if not 0 < self.speed_share <= 1:
             raise ControlError(f"speed {self.speed_share} is not a share of the joints' speed: above 0, at most 1")
-        if not 0.01 <= self.ramp_s <= 10:
-            raise ControlError(f"ramp {self.ramp_s} s is not between 0.01 and 10 s")
+        if not 0.01 <= self.acceleration_rad_s2 <= 1e3:
+            raise ControlError(f"acceleration {self.acceleration_rad_s2} rad/s² is not between 0.01 and 1000 rad/s²")
+        if not 0.01 <= self.jerk_rad_s3 <= 1e5:
+            raise ControlError(f"jerk {self.jerk_rad_s3} rad/s³ is not between 0.01 and 100000 rad/s³")
+
+    def speed(self, chain: Chain) -> Array:
+        """Of each joint, rad/s."""
+        return np.asarray(chain.max_speed * self.speed_share)
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """What motion remembers from one answer to the next; the default is at rest."""
+class State:
+    """The setpoint in motion: n angles in rad, with their first and second derivatives."""
 
-    speed: float = 0.0
-    """Reached so far, 0 to 1 of the speed that is allowed."""
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it stays where it is."""
+        return not (self.velocity.any() or self.acceleration.any())
+
+    def before(self, seconds: float) -> Array:
+        """Where it was a little earlier (or will be, with negative seconds)."""
+        return np.asarray(self.position - seconds * self.velocity + seconds * seconds / 2 * self.acceleration)
+
+
+def at_rest(q: Array) -> State:
+    """A setpoint that does not move."""
+    return State(q, np.zeros_like(q), np.zeros_like(q))
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """Where to be when the step ends, and how fast that moves."""
+
+    position: Array
+    velocity: Array
+
+
+def resting(q: Array) -> Goal:
+    """A goal that does not move."""
+    return Goal(q, np.zeros_like(q))
+
+
+@dataclass(frozen=True, slots=True)
+class Stepped:
+    """The setpoint after one step."""
+
+    state: State
+    braked: tuple[bool, ...]
+    """Joints that would else have passed a limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """What the way in hand was planned from, and how far it is done."""
+
+    goal: Goal
+    slow: float
+    done_s: float
+    state: State
+
+
+class Planner:
+    """One arm's bounds, and the way in hand to a goal that rests.
+
+    A goal that stays what it was is not planned to anew: from rest the way is straight in joint space, and a new plan
+    from its middle would be so but for rounding, on which it depends.
+    """
+
+    def __init__(self, chain: Chain, limits: MotionLimits) -> None:
+        """Sets up the planner's memory once."""
+        self._chain, self._limits = chain, limits
+        self._speed = limits.speed(chain)
+        self._planner = Ruckig(chain.count)
+        self._way, self._stop = Trajectory(chain.count), Trajectory(chain.count)
+        self._plan: _Plan | None = None
+        self._to_goal, self._to_speed = self._inputs(), self._inputs()
+        self._to_goal.synchronization = Synchronization.Phase  # straight in joint space where it starts at rest
+        self._to_speed.control_interface = ControlInterface.Velocity
+        self._to_speed.synchronization = Synchronization.No
+
+    def towards(self, state: State, goal: Goal, dt_s: float, slow: float = 1.0) -> Stepped:
+        """One step towards a goal.
+
+        Args:
+            state: of the setpoint in force.
+            goal: at the end of this step.
+            dt_s: how long the step is.
+            slow: share of the speed limits to keep to, above 0: a setpoint that is faster slows down first.
+        """
+        speed = self._speed * slow
+        position = self._chain.clip(goal.position)
+        most = np.where(position == goal.position, _GOAL_SHARE * speed, 0.0)
+        moving = np.clip(goal.velocity, -most, most)
+        goal, done_s = Goal(position, moving), self._done(state, Goal(position, moving), slow)
+        if done_s == 0.0:
+            plan = self._to_goal
+            plan.current_position = (state.position - position + moving * dt_s).tolist()
+            plan.current_velocity = (state.velocity - moving).tolist()
+            plan.current_acceleration = state.acceleration.tolist()
+            plan.max_velocity = (speed - moving).tolist()
+            plan.min_velocity = (-speed - moving).tolist()
+            if not self._calculate(plan, self._way):
+                return self.brake(state, dt_s)
+        at = _at(self._way, done_s + dt_s)
+        there = State(at.position + position, at.velocity + moving, at.acceleration)
+        stepped = self._within_limits(state, there, dt_s)
+        self._plan = None if any(stepped.braked) else _Plan(goal, slow, done_s + dt_s, stepped.state)
+        return stepped
+
+    def _done(self, state: State, goal: Goal, slow: float) -> float:
+        """Seconds of the way in hand that are done; 0 where it is not the way from this state to this goal."""
+        plan = self._plan
+        if plan is None or plan.state is not state or plan.slow != slow or goal.velocity.any():
+            return 0.0
+        same = np.array_equal(plan.goal.position, goal.position) and not plan.goal.velocity.any()
+        return plan.done_s if same else 0.0
+
+    def at_speed(self, state: State, velocity: Array, dt_s: float) -> Stepped:
+        """One step on the way to a velocity."""
+        there = self._towards_speed(state, np.clip(velocity, -self._speed, self._speed), dt_s)
+        return self.brake(state, dt_s) if there is None else self._within_limits(state, there, dt_s)
+
+    def brake(self, state: State, dt_s: float) -> Stepped:
+        """One step of coming to rest as fast as acceleration and jerk allow."""
+        there = self._towards_speed(state, np.zeros_like(state.velocity), dt_s)
+        braked = (False,) * self._chain.count
+        return Stepped(at_rest(state.position) if there is None else self._clipped(there), braked)
+
+    def _within_limits(self, state: State, there: State, dt_s: float) -> Stepped:
+        passed = self._passes_limit(there)
+        if not passed.any():
+            return Stepped(there, (False,) * self._chain.count)
+        stop = self.brake(state, dt_s).state
+        kept = self._clipped(
+            State(
+                np.where(passed, stop.position, there.position),
+                np.where(passed, stop.velocity, there.velocity),
+                np.where(passed, stop.acceleration, there.acceleration),
+            )
+        )
+        return Stepped(kept, tuple(passed.tolist()))
+
+    def _passes_limit(self, state: State) -> Array:
+        """Which joints would pass a limit if they braked from here."""
+        lower, upper = self._chain.limits.T
+        if self._towards_speed(state, np.zeros_like(state.velocity), 0.0) is None:
+            return np.ones(self._chain.count, dtype=np.bool_)
+        extrema = self._stop.position_extrema
+        least, most = np.array([bound.min for bound in extrema]), np.array([bound.max for bound in extrema])
+        return np.asarray((least < lower) | (most > upper))
+
+    def _clipped(self, state: State) -> State:
+        # rounding alone: braking was found to end within the limits before this motion was begun
+        return replace(state, position=self._chain.clip(state.position))
+
+    def _towards_speed(self, state: State, velocity: Array, dt_s: float) -> State | None:
+        plan = self._to_speed
+        plan.current_position = state.position.tolist()
+        plan.current_velocity = state.velocity.tolist()
+        plan.current_acceleration = state.acceleration.tolist()
+        plan.target_velocity = velocity.tolist()
+        return _at(self._stop, dt_s) if self._calculate(plan, self._stop) else None
+
+    def _calculate(self, plan: InputParameter, trajectory: Trajectory) -> bool:
+        try:
+            return self._planner.calculate(plan, trajectory) in (Result.Working, Result.Finished)
+        except RuckigError:
+            return False
+
+    def _inputs(self) -> InputParameter:
+        inputs, zeros = InputParameter(self._chain.count), [0.0] * self._chain.count
+        inputs.target_position = inputs.target_velocity = inputs.target_acceleration = zeros
+        inputs.max_velocity = self._speed.tolist()
+        inputs.max_acceleration = [self._limits.acceleration_rad_s2] * self._chain.count
+        inputs.max_jerk = [self._limits.jerk_rad_s3] * self._chain.count
+        return inputs
+
+
+def _at(trajectory: Trajectory, seconds: float) -> State:
+    position, velocity, acceleration = trajectory.at_time(seconds)
+    return State(np.array(position), np.array(velocity), np.array(acceleration))
+
+
+# --- the report's tests
+
+Path = Callable[[float], Array]
 
 
 def part1_motion(t: float) -> Array:
@@ -61,37 +263,6 @@ def all_motion(t: float) -> Array:
 
 def _sine(t: float, half_period_s: float) -> float:
     return math.sin(math.pi * t / half_period_s)
-
-
-def towards(
-    chain: Chain, setpoint: Array, goal: Array, dt_s: float, motion: Motion, limits: MotionLimits
-) -> tuple[Array, Motion]:
-    r"""The next setpoint on the straight line to the goal.
-
-    With d the time that the slowest joint needs at full speed, the speed rises by :math:`dt / ramp` an answer up to
-    :math:`\min(1, \sqrt{2 d / ramp})`, from which it can still stop in time. The goal is clipped to the limits.
-
-    Args:
-        chain: the arm.
-        setpoint: in force now.
-        goal: where to; may move from answer to answer.
-        dt_s: of simulated time since the last answer.
-        motion: what this function returned last, or at rest.
-        limits: how fast.
-    """
-    goal = chain.clip(goal)
-    remaining = goal - setpoint
-    time_left = float(np.max(np.abs(remaining) / (chain.max_speed * limits.speed_share)))
-    if time_left * limits.speed_share * float(chain.max_speed.max()) <= ARRIVED_RAD:
-        return goal, Motion()
-    speed = min(1.0, motion.speed + dt_s / limits.ramp_s, math.sqrt(2 * time_left / limits.ramp_s))
-    share = min(1.0, speed * dt_s / time_left)
-    if share >= 1.0:
-        return goal, Motion(speed=min(1.0, time_left / dt_s))
-    return setpoint + share * remaining, Motion(speed)
-
-
-Path = Callable[[float], Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,22 +288,19 @@ class OnPath:
         return replace(self, anchor=None)
 
 
-def along(
-    chain: Chain, path: Path, state: OnPath, setpoint: Array, step: Step, motion: Motion, limits: MotionLimits
-) -> tuple[Array, OnPath, Motion]:
-    """The next setpoint of a test.
+def along(path: Path, where: OnPath, state: State, step: Step) -> tuple[Goal, OnPath]:
+    """The goal of this step on a test's path.
 
     Time on the axis is ``anchor's + (capture - anchor's capture)`` while the arm is on the path. An arm that is not
-    there first moves to where the test begins, or was interrupted.
+    there first moves to where the test begins, or was interrupted, and starts from rest.
     """
-    if state.anchor is not None:
-        anchor_ns, anchor_s = state.anchor
+    if where.anchor is not None:
+        anchor_ns, anchor_s = where.anchor
         time_s = anchor_s + (step.capture_ns - anchor_ns) / NS_PER_S
-        point = chain.clip(path(time_s))
-        if np.all(np.abs(point - setpoint) <= chain.max_speed * step.dt_s):
-            return point, OnPath(time_s, state.anchor), motion
-    begin = chain.clip(path(state.time_s))
-    if np.abs(begin - setpoint).max() <= ARRIVED_RAD:
-        return begin, OnPath(state.time_s, (step.capture_ns, state.time_s)), Motion()
-    setpoint, motion = towards(chain, setpoint, begin, step.dt_s, motion, limits)
-    return setpoint, state.left(), motion
+        if np.abs(path(time_s) - state.position).max() <= _OFF_PATH_RAD:
+            velocity = (path(time_s + _DERIVATIVE_S) - path(time_s - _DERIVATIVE_S)) / (2 * _DERIVATIVE_S)
+            return Goal(path(time_s), velocity), OnPath(time_s, where.anchor)
+    begin = path(where.time_s)
+    if np.abs(begin - state.position).max() <= ARRIVED_RAD:
+        return resting(begin), OnPath(where.time_s, (step.capture_ns, where.time_s))
+    return resting(begin), where.left()

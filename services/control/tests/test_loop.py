@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from armsight.counters import Counters
 from armsight.times import from_duration, from_timestamp, to_timestamp
 from armsight.v1.control_pb2 import (
-    CONTROL_MODE_FOLLOW,
     CONTROL_MODE_JOINTS,
     CONTROL_MODE_TEST_1,
     CONTROL_MODE_TRACK,
@@ -38,6 +37,7 @@ from armsight_control.errors import ControlError, ModeError, SetpointError
 from armsight_control.kinematics import forward
 from armsight_control.loop import Answer, Loop
 from armsight_control.modes import NAMES, Mode, mode_of
+from armsight_control.movement import MotionOptions
 from armsight_control.solvers import Options, solve
 from armsight_control.trajectory import MotionLimits, all_motion, part1_motion, part2_motion
 
@@ -60,17 +60,27 @@ class Stack:
         self.counters = Counters()
         self.limits = MotionLimits()
         self.estimator = "all"
+        self.velocity, self.dt_s, self.answered_ns = np.zeros(4), 0.0, START_NS
         self.loop = self.new_loop(description)
         self.description = description
 
     def new_loop(self, description: ArmDescription) -> Loop:
-        loop = Loop(self.limits, Options(), 0, self.counters, self.estimator)
+        loop = Loop(self.limits, MotionOptions(), Options(), 0, self.counters, self.estimator)
         loop.describe(description)
         return loop
 
     def reset(self, q: Array) -> None:
         self.q = np.asarray(q, dtype=np.float64)
+        self.velocity, self.dt_s = np.zeros(4), 0.0
         self.loop.accept(self.states(self.q, self.capture_ns))
+
+    def accept_wrong(self, q: Array) -> None:
+        """Hears of a setpoint that is not in force; what sim says next is right again."""
+        self.loop.accept(self.states(q))
+        if (np.abs(q) <= self.arm.chain.limits[:, 1] + 1e-3).all():
+            self.reset(self.q)
+        else:  # no setpoint of this arm: refused, and the motion goes on
+            self.loop.accept(self.states(self.q, self.capture_ns))
 
     def mode(self, name: str, goal: Array | None = None, start_s: float = 0.0) -> None:
         self.loop.set_mode(Mode(NAMES[name], goal, start_s))
@@ -100,9 +110,18 @@ class Stack:
             assert [joint.name for joint in command.joints] == list(self.arm.chain.names)
             q = np.array([joint.position_rad for joint in command.joints])
             assert (q == self.arm.chain.clip(q)).all()
-            assert np.abs(q - self.q).max() <= 5 / 30 + 1e-9
-            self.q = q
+            dt_s = (answer.capture_ns - self.answered_ns) / 1e9
+            if dt_s > 0.1:  # the last command has lapsed: it begins anew, from rest
+                dt_s, self.velocity, self.dt_s = PERIOD_NS / 1e9, np.zeros(4), 0.0
+            velocity = (q - self.q) / dt_s
+            assert np.abs(velocity).max() <= 5 * self.limits.speed_share + 1e-6
+            most = self.limits.acceleration_rad_s2 * (dt_s + self.dt_s) / 2
+            assert np.abs(velocity - self.velocity).max() <= most + 1e-5
+            self.q, self.velocity, self.dt_s = q, velocity, dt_s
             self.loop.accept(self.states(q, answer.capture_ns))
+        else:
+            self.velocity, self.dt_s = np.zeros(4), 0.0
+        self.answered_ns = answer.capture_ns
 
     def estimate(self, answer: Answer) -> Array:
         return np.array([joint.position for joint in answer.estimated.joints])
@@ -114,7 +133,7 @@ def stack(description: ArmDescription, arm: Arm, camera: "Camera", states: Calla
 
 
 def test_without_a_description_and_without_a_setpoint_it_waits_and_says_for_what(stack: Stack) -> None:
-    stack.loop = Loop(stack.limits, Options(), 0, stack.counters)
+    stack.loop = Loop(stack.limits, MotionOptions(), Options(), 0, stack.counters)
     answer = stack.step()
     assert (answer.status.state, answer.command.hold) == (CONTROL_STATE_WAITING, True)
     assert "description" in answer.status.detail
@@ -158,7 +177,9 @@ def test_a_test_from_its_start_is_its_sinusoid_and_its_angles_are_found(
     for k in range(240):
         before = stack.q
         answer = stack.step()
-        np.testing.assert_allclose(stack.q, stack.arm.chain.clip(motion(8.0 + k * PERIOD_NS / 1e9)), atol=1e-9)
+        # it starts from rest: half a second to be on the path, to a fifth of a millimetre at the tip
+        near = 3e-5 if k > 15 else 0.05
+        np.testing.assert_allclose(stack.q, stack.arm.chain.clip(motion(8.0 + k * PERIOD_NS / 1e9)), atol=near)
         observable = [joint.observable for joint in answer.status.joints]
         assert np.abs(stack.estimate(answer) - before)[observable].max() < 1e-6
         assert answer.status.estimator == answering
@@ -177,7 +198,7 @@ def test_the_same_instant_again_gets_the_same_answer_and_nothing_moves_on(stack:
     assert again.estimated == first.estimated
     following = stack.step()
     goal = part2_motion(5.0 + 5 * PERIOD_NS / 1e9)
-    np.testing.assert_allclose([joint.position_rad for joint in following.command.joints], goal, atol=1e-9)
+    np.testing.assert_allclose([joint.position_rad for joint in following.command.joints], goal, atol=0.03)
 
 
 def test_positions_older_than_the_last_answered_ones_get_no_answer(stack: Stack) -> None:
@@ -214,10 +235,13 @@ def test_a_lost_marker_holds_and_motion_goes_on_from_the_setpoint_when_it_is_bac
         assert not any(joint.observable for joint in answer.status.joints)
     stack.step()
     assert np.abs(stack.q - before).max() < 0.02
-    for k in range(1, 20):
+    for _ in range(39):
+        before = stack.q
         stack.step()
-        expected = part1_motion(3.0 + (9 + k) * PERIOD_NS / 1e9)
-        np.testing.assert_allclose(stack.q, expected, atol=1e-6)
+        assert np.abs(stack.q - before).max() < 0.03
+    # the path waited: where it is now is where it would have been 30 instants ago, but for coming to rest and back
+    expected = [part1_motion(3.0 + (48 + late) * PERIOD_NS / 1e9) for late in range(-10, 3)]
+    assert min(np.abs(stack.q - q).max() for q in expected) < 0.01
     assert stack.counters.snapshot()["held_lost"] == 30
 
 
@@ -384,8 +408,11 @@ def test_mode_requests_are_checked_with_a_clear_text(arm: Arm) -> None:
     assert goal is not None
     np.testing.assert_array_equal(goal, [0, 0, 0.5, 0])
     for error, text, wrong in (
-        (ModeError, "follow is not built yet", request(CONTROL_MODE_FOLLOW)),
-        (ModeError, "there are hold, joints, test-1, test-2, test-all, track", SetModeRequest.FromString(b"\x08\x63")),
+        (
+            ModeError,
+            "there are hold, joints, test-1, test-2, test-all, track, follow",
+            SetModeRequest.FromString(b"\x08\x63"),
+        ),
         (SetpointError, "this arm needs joint1", request(CONTROL_MODE_JOINTS, joint1=0.0)),
         (SetpointError, "not finite", request(CONTROL_MODE_JOINTS, **zeros | {"joint1": math.nan})),
         (SetpointError, "outside of its limits", request(CONTROL_MODE_JOINTS, **zeros | {"joint2": 2.0})),
@@ -439,8 +466,7 @@ def test_whatever_arrives_in_whatever_order_no_command_breaks_a_limit(
                 stack.capture_ns += PERIOD_NS
                 stack.apply(answer)
         elif kind == "accepted":
-            stack.loop.accept(stack.states(values[:4]))
-            stack.reset(stack.q)  # what sim says next is right again
+            stack.accept_wrong(np.array(values[:4]))
         elif kind == "target":
             message_ = Point3InFrame(frame_id="base")
             message_.point.x, message_.point.y, message_.point.z = values[:3]
@@ -465,5 +491,7 @@ def test_whatever_arrives_in_whatever_order_no_command_breaks_a_limit(
                 continue
         elif kind == "anew":
             stack.loop.begin_anew()
+            stack.reset(stack.q)
+            stack.answered_ns = stack.capture_ns  # the first answer of a new sim counts as one of its frames
         else:
             stack.capture_ns += 5 * PERIOD_NS

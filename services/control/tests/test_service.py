@@ -37,7 +37,6 @@ from armsight.topics import (
     TARGET,
 )
 from armsight.v1.control_pb2 import (
-    CONTROL_MODE_FOLLOW,
     CONTROL_MODE_HOLD,
     CONTROL_MODE_JOINTS,
     CONTROL_MODE_TEST_2,
@@ -400,8 +399,8 @@ def test_queries_answer_and_refuse_with_a_text(rig: Rig) -> None:
     assert freed.status == IK_STATUS_CONVERGED
 
     assert rig.asked(SetModeRequest()) == CONTROL_MODE_HOLD
-    with pytest.raises(RefusedError, match="follow is not built yet"):
-        rig.bus.query(MODE, SetModeRequest(mode=CONTROL_MODE_FOLLOW))
+    with pytest.raises(RefusedError, match="there are hold, joints, test-1, test-2, test-all, track, follow"):
+        rig.bus.query(MODE, SetModeRequest.FromString(b"\x08\x63"))
     assert '"solver": "closed-form"' in rig.bus.query(PARAMETERS, PARAMETERS.request(), "control").json
 
 

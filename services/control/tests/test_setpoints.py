@@ -80,3 +80,14 @@ def test_a_configuration_a_hair_beyond_a_limit_is_clamped_and_further_is_refused
     assert configuration(given, arm.chain)[1] == math.pi / 2
     with pytest.raises(SetpointError, match="joint2"):
         configuration(given | {"joint2": math.pi / 2 + 2e-6}, arm.chain)
+
+
+def test_how_long_commands_take_is_learnt_from_when_they_are_in_force() -> None:
+    setpoints = Setpoints()
+    setpoints.accept(np.zeros(1), 0)
+    assert setpoints.lead_s == pytest.approx(1 / 30)
+    for k in range(1, 20):
+        setpoints.command(k * STEP_NS, np.array([0.1 * k]))
+        if k > 1:  # in force in the second frame after the one that was answered
+            setpoints.accept(np.array([0.1 * (k - 1)]), (k + 1) * STEP_NS)
+    assert setpoints.lead_s == pytest.approx(2 / 30, rel=1e-3)

@@ -33,7 +33,7 @@ from armsight_sim.motion import Motion
 from armsight_sim.settings import Settings
 from armsight_sim.stop import StopSources
 from armsight_sim.targets import TARGETS, visible_box
-from armsight_sim.world import World, load_model
+from armsight_sim.world import World, load_model, longer_links
 
 T = TypeVar("T")
 
@@ -53,7 +53,8 @@ class Simulation:
     def __init__(self, context: Context, settings: Settings) -> None:
         """Declares everything on the bus; frames start with :meth:`run`."""
         self._context, self._settings, bus = context, settings, context.bus
-        model = load_model()
+        described = load_model()
+        model = longer_links(described, settings.model_error)
         world = World(model, 1.0 / settings.fps)
         instants = Instants(settings.start_ns, settings.fps)
         pose = world.within_limits(settings.pose) if settings.pose else np.zeros(len(world.joint_names))
@@ -71,7 +72,9 @@ class Simulation:
             calibration = description.calibration(model, name, settings.width, settings.height, settings.start_ns)
             bus.publisher(topics.CAMERA_CALIBRATION, name).put(calibration)
             bus.publisher(topics.CAMERA_POSE, name).put(description.camera_pose(model, name, settings.start_ns))
-        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(model, with_bodies=settings.target == "visible"))
+        bus.publisher(topics.DESCRIPTION).put(
+            description.describe_arm(described, with_bodies=settings.target == "visible")
+        )
         block = settings.clock is ClockMode.LOCKSTEP
         self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
         self._frame_ids = [description.optical_frame(name) for name in self._names]

@@ -34,6 +34,8 @@ class Settings:
     emissive: bool
     """Whether markers shine by themselves: no shading, whatever the light."""
     seed: int
+    model_error: float
+    """Share by which the arm's links are longer than described."""
     pose: tuple[float, ...]
 
     def __post_init__(self) -> None:
@@ -48,6 +50,8 @@ class Settings:
             raise ConfigError(f"--noise {self.noise:g} is not within 0 to 50 grey levels")
         if self.seed < 0:
             raise ConfigError(f"--seed {self.seed} is below 0")
+        if not -0.05 <= self.model_error <= 0.05:
+            raise ConfigError(f"--model-error {self.model_error:g} is not within -0.05 to 0.05")
 
 
 def parse_settings(arguments: argparse.Namespace) -> Settings:
@@ -68,6 +72,7 @@ def parse_settings(arguments: argparse.Namespace) -> Settings:
         noise=arguments.noise,
         emissive=arguments.markers == EMISSIVE,
         seed=arguments.seed,
+        model_error=arguments.model_error,
         pose=tuple(arguments.pose),
     )
 
@@ -105,6 +110,12 @@ def argument_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--noise", type=float, default=0.0, help="standard deviation in grey levels (default: 0)")
     parser.add_argument("--seed", type=int, default=1, help="of the noise (default: 1)")
+    parser.add_argument(
+        "--model-error",
+        type=float,
+        default=0.0,
+        help="share by which the links are longer than sim describes them, -0.05 to 0.05 (default: 0)",
+    )
     parser.add_argument("--pose", type=float, nargs="+", metavar="RAD", default=[], help="start pose (default: zero)")
     add_service_arguments(parser)
     return parser

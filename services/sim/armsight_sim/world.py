@@ -3,6 +3,7 @@
 Angles are in radians, in the order of :attr:`World.joint_names`; times in simulated seconds.
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 from importlib import resources
 
@@ -23,6 +24,25 @@ _LONGEST_STEP_S = 0.0021  # sixteen steps a frame at 30 Hz: kv of the actuators 
 def load_model() -> mujoco.MjModel:
     """The arm as this package ships it."""
     return mujoco.MjModel.from_xml_string(resources.files("armsight_sim").joinpath("models/arm.xml").read_text())
+
+
+def longer_links(model: mujoco.MjModel, share: float) -> mujoco.MjModel:
+    """The same arm with links that are longer by a share of their length than the model describes them.
+
+    Everything on a moving body is farther along it by that share: the next joint, what is drawn, the tip. Masses stay.
+    """
+    other = copy.copy(model)
+    scale = 1.0 + share
+    moving = np.flatnonzero(model.body_jntnum > 0)
+    for body in moving:
+        if model.body_jntnum[model.body_parentid[body]] > 0:
+            other.body_pos[body] *= scale
+    for geom in np.flatnonzero(np.isin(model.geom_bodyid, moving)):
+        other.geom_pos[geom] *= scale
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            other.geom_size[geom, 1] *= scale
+    other.site_pos[np.isin(model.site_bodyid, moving)] *= scale
+    return other
 
 
 class World:

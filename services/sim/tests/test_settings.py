@@ -20,6 +20,8 @@ EXECUTABLE = Path(sys.executable).parent / "armsight-sim"
         ["--ambient", "2"],
         ["--noise", "-1"],
         ["--seed", "-1"],
+        ["--model-error", "0.5"],
+        ["--model-error", "nan"],
         ["--start-time", "yesterday"],
         ["--start-time", "2024-05-01T12:00:00"],
         ["--start-time", "²"],

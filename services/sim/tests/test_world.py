@@ -3,7 +3,7 @@ import numpy.typing as npt
 import pytest
 
 from armsight_sim.errors import PoseError
-from armsight_sim.world import World
+from armsight_sim.world import World, load_model, longer_links
 
 Vector = npt.NDArray[np.float64]
 SEED = 8128
@@ -118,3 +118,22 @@ def test_rounding_beyond_a_limit_is_clamped(world: World) -> None:
     assert world.pose({"joint2": np.pi / 2 + 5e-7})[1] == world.limits[1, 1]
     with pytest.raises(PoseError):
         world.pose({"joint2": np.pi / 2 + 1e-4})
+
+
+def test_longer_links_put_the_tip_farther_out_and_leave_the_described_arm_alone() -> None:
+    described = load_model()
+    before = described.body_pos.copy()
+    longer = World(longer_links(described, 0.01), 1 / 30)
+    q = np.array([0.4, 0.3, 0.7, -0.5])
+    longer.reset(q)
+    described_world = World(described, 1 / 30)
+    described_world.reset(q)
+    base = np.array([0.0, 0.0, 0.5])
+    tip, described_tip = longer.data.site("tip").xpos, described_world.data.site("tip").xpos
+    np.testing.assert_allclose(tip - base, 1.01 * (described_tip - base), atol=1e-12)
+    for marker in ("green", "yellow", "blue", "red"):
+        geom = f"marker_{marker}"
+        np.testing.assert_allclose(
+            longer.data.geom(geom).xpos - base, 1.01 * (described_world.data.geom(geom).xpos - base), atol=1e-12
+        )
+    np.testing.assert_array_equal(described.body_pos, before)

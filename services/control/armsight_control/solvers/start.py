@@ -7,6 +7,7 @@ import numpy as np
 
 from armsight_control.chain import Array, Chain
 from armsight_control.folded import Folded
+from armsight_control.solvers.problem import REPORT_FREE
 
 Initialisation = Literal["fixed", "previous", "random"]
 INITIALISATIONS: tuple[Initialisation, ...] = ("fixed", "previous", "random")
@@ -34,12 +35,17 @@ def start(chain: Chain, initialisation: Initialisation, previous: Array | None, 
         return with_joint2_at_0(chain, np.full(chain.count, FIXED_RAD))
     if initialisation == "previous" and previous is not None:
         return with_joint2_at_0(chain, previous)
-    return perturbed(chain, np.zeros(chain.count), rng)
+    return perturbed(chain, np.zeros(chain.count), REPORT_FREE, rng)
 
 
-def perturbed(chain: Chain, q: Array, rng: np.random.Generator) -> Array:
-    """A configuration with the report's noise on top, joint 2 at 0."""
-    return with_joint2_at_0(chain, q + rng.normal(0.0, SIGMA_RAD, chain.count))
+def perturbed(chain: Chain, q: Array, free: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """A configuration with the report's noise on top, joint 2 at 0 unless it is free."""
+    return for_free(chain, q + rng.normal(0.0, SIGMA_RAD, chain.count), free)
+
+
+def for_free(chain: Chain, q: Array, free: tuple[int, ...]) -> Array:
+    """The configuration inside the limits and with joint 2 at 0 unless it is free."""
+    return chain.clip(q) if FIXED_JOINT in free else with_joint2_at_0(chain, q)
 
 
 def with_joint2_at_0(chain: Chain, q: Array) -> Array:

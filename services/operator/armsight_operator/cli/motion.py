@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from armsight.bus import Bus
     from armsight.v1.joints_pb2 import JointSetpoint
 
-MODES = ("hold", "joints", "test-1", "test-2", "test-all", "track")
+MODES = ("hold", "joints", "test-1", "test-2", "test-all", "track", "follow")
 
 _ANSWER_S = 5.0
 
