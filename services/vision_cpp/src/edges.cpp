@@ -18,9 +18,8 @@ constexpr double kMinBackground = 40.0;         // grey levels
 constexpr double kBackgroundChroma = 0.2;       // (max - min) / max, plus kNoise
 constexpr double kBackgroundUnevenness = 0.08;  // relative change from one pixel to the next, plus kNoise
 constexpr double kNoise = 12.0;                 // grey levels: 3 standard deviations of a noisy sensor
-// A mixed pixel with less foreground than this for its coverage is darkened by a third thing: an occluder.
-constexpr double kMinBrightness = 0.3;
-constexpr double kDarkCoverage = 0.5;
+// A mixed pixel with less foreground than this for its coverage, and kNoise, is darkened by a third thing: an occluder.
+constexpr double kMinBrightness = 0.5;
 // The innermost pixel must be covered and the outermost free, or the edge is not between them.
 constexpr double kCoverageTolerance = 0.3;
 constexpr int kSparse = 3;                  // every so many rows and columns tell roughly where a disc is
@@ -44,8 +43,8 @@ class EdgeFinder {
         }
         const Eigen::Vector3d near = at(-2);
         const Eigen::Vector3d deep = at(-3);
-        if (!is_marker(near)) return std::nullopt;
-        const Eigen::Vector3d foreground = is_marker(deep) ? Eigen::Vector3d(0.5 * (near + deep)) : near;
+        if (!is_marker(near) || !is_marker(deep)) return std::nullopt;
+        const Eigen::Vector3d foreground = 0.5 * (near + deep);
 
         const Eigen::Vector3d free = at(3);
         const Eigen::Vector3d beyond = at(4);
@@ -58,13 +57,14 @@ class EdgeFinder {
         }
         const auto unmixing = Unmixing::of(foreground, background);
         if (!unmixing) return std::nullopt;
+        const double doubt = kNoise / foreground.maxCoeff();
         double sum = 0.0;
         for (int k = -1; k <= 2; ++k) {
             const Eigen::Vector3d between = at(k);
             const Mix mix = (*unmixing)(between);
             if (!is_mix(between, mix, foreground, background)) return std::nullopt;
             const double coverage = 1.0 - mix.background;
-            if (coverage > kDarkCoverage && mix.foreground < kMinBrightness * coverage) return std::nullopt;
+            if (mix.foreground < kMinBrightness * coverage - doubt) return std::nullopt;
             if (k == -1 && coverage < 1.0 - kCoverageTolerance) return std::nullopt;
             if (k == 2 && coverage > kCoverageTolerance) return std::nullopt;
             sum += coverage;

@@ -133,6 +133,18 @@ TEST(Edges, TheRimOfAMarkerBehindIsNotTakenForBackground) {
     }
 }
 
+TEST(Edges, TheBorderOfALinkBehindIsNotTakenForTheOutline) {
+    const Camera camera = testing::front_camera();
+    // a part of a pixel of it shows on one side: all of it and what lies next to it were more than a pixel
+    for (const double beyond : {0.0, 0.004, 0.012, 0.02, 0.024}) {
+        const testing::Scene scene{.spheres = {{{0.0, 0.0, 6.5}, 0.5, {1.0, 0.0, 0.0}}},
+                                   .capsules = {{{-0.6, 0.2 + beyond, 3.0}, {-0.6, 0.2 + beyond, 10.0}, 0.3}}};
+        const Found found = find(scene, testing::draw(scene, camera, 6), camera);
+        EXPECT_GT(found.outline.points.size(), 20U);
+        EXPECT_LT(found.worst_px, 0.65) << beyond;
+    }
+}
+
 TEST(Edges, OrderOfChannelsMakesNoDifference) {
     const Camera camera = testing::front_camera(400);
     const testing::Scene scene{.spheres = {{{0.3, 1.7, 7.2}, 0.6, {1.0, 0.0, 0.0}}}, .capsules = {}};
