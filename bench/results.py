@@ -78,7 +78,7 @@ def publish(area: str, results: Sequence[Result]) -> None:
     for column in ("figure", "value", "unit", "reference", "ratio", "bar", "holds"):
         table.add_column(column)
     for r in results:
-        ratio = "" if r.ratio is None else f"{r.ratio:.2f}" if r.ratio >= 0.1 else f"1/{1 / r.ratio:.0f}"
+        ratio = "" if r.ratio is None else f"1/{1 / r.ratio:.0f}" if 1e-6 < r.ratio < 0.1 else f"{r.ratio:.2f}"
         holds = "" if r.holds is None else ("yes" if r.holds else "NO")
         table.add_row(r.name, f"{r.value:.4g}", r.unit, r.reference, ratio, r.bar, holds)
     Console(width=160).print(table)
