@@ -6,15 +6,19 @@ closed form, which takes microseconds and stays exact on the edge of the workspa
 Gauss-Newton steps with the damped Jacobian and what the null space leaves.
 """
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from armsight_control.chain import Array, Chain
-from armsight_control.kinematics import forward, jacobian
+from armsight_control.kinematics import Links, forward, jacobian, links_of
 from armsight_control.nullspace import damped_inverse, null_motion
-from armsight_control.solvers import REPORT_FREE, Problem, solve
+from armsight_control.solvers import REPORT_FREE
+from armsight_control.solvers.closed_form import solve_one
 from armsight_control.solvers.start import for_free
+from armsight_control.solvers.workspace import nearest_reachable
 from armsight_control.tracking import Moving
 
 FREE_JOINTS = {"3": REPORT_FREE, "all": (0, 1, 2, 3)}
@@ -72,8 +76,7 @@ def aim(chain: Chain, free: tuple[int, ...], point: Moving, start: Array, dt_s: 
 def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> tuple[Array, float]:
     """A configuration near ``start`` with the tip at a point, or as near to it as it gets; and how far off that is."""
     if free == REPORT_FREE:
-        solution = solve("closed-form", Problem(chain, point, for_free(chain, start, free), free))
-        return solution.q, solution.residual_m
+        return _by_closed_form(chain, point, for_free(chain, start, free))
     q = chain.clip(start)
     columns = list(free)
     error = point - forward(chain, q)
@@ -95,3 +98,18 @@ def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> 
         if not better:
             break
     return q, float(np.linalg.norm(error))
+
+
+def _by_closed_form(chain: Chain, point: Array, start: Array) -> tuple[Array, float]:
+    """What the solver of that name finds, without what all solvers have around them: twice for every frame."""
+    links, limits = _report_arm(chain)
+    x, y, _ = forward(chain, start)
+    near, _ = nearest_reachable(links, point, math.atan2(y, x))
+    q, columns = start.copy(), list(REPORT_FREE)
+    q[columns] = solve_one(links, limits, near.tolist(), start[columns].tolist())
+    return chain.clip(q), float(np.linalg.norm(near - point))
+
+
+@lru_cache(maxsize=4)
+def _report_arm(chain: Chain) -> tuple[Links, list[list[float]]]:
+    return links_of(chain), chain.limits[list(REPORT_FREE)].tolist()
