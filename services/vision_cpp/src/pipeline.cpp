@@ -26,6 +26,8 @@ constexpr double kWholeVisible = 0.95;
 // A view whose edge points do not lie on the fitted outline saw something else.
 constexpr double kAgreementPx = 1.0;
 constexpr double kMinAgreement = 0.4;
+// Where a box has the same colour: of a box as wide as the sphere 0.4 of the edge points lie on the sphere's outline.
+constexpr double kMinAgreementShared = 0.7;
 // From here on nothing better is looked for: outlines without an occluder give nearly 1.
 constexpr double kSureAgreement = 0.8;
 // Middle of a mask without a usable outline, in radii: exact but for shading where all of the disc is seen, nearly a
@@ -98,9 +100,10 @@ struct Attempt {
     std::size_t views;
     std::size_t worst;  ///< view that agrees least
     double agreement;   ///< of that view, 0 to 1
+    double needed;      ///< of agreement, for the answer to count
     double surprise;    ///< m from the last state; 0 without one
 
-    [[nodiscard]] bool is_agreed() const { return agreement >= kMinAgreement; }
+    [[nodiscard]] bool is_agreed() const { return agreement >= needed; }
 };
 
 bool is_better(const Attempt& a, const Attempt& b) {
@@ -395,6 +398,7 @@ std::optional<Attempt> Pipeline::State::settle(std::size_t marker, const Eigen::
                    .views = sightings.size(),
                    .worst = 0,
                    .agreement = 1.0,
+                   .needed = is_shared[marker] ? kMinAgreementShared : kMinAgreement,
                    .surprise = prior ? (fix->position - prior->position).norm() : 0.0};
     const auto all = views();
     for (std::size_t i = 0; i < all.size(); ++i) {
