@@ -101,6 +101,17 @@ TEST(Box, SphereAndBoxOfOneColourAreToldApartByShape) {
     EXPECT_LT(surprise, 3.0);  // 1 for a covariance that is right
 }
 
+TEST(Box, WhereTheSphereIsHiddenABoxAtItsHeightIsNotTakenForIt) {
+    const Eigen::Vector3d sphere(-0.875, 2.088, 7.835);
+    for (const double height : {7.4, 7.5, 7.6}) {
+        Scene scene = both(sphere, {0.9, 3.753, height});
+        scene.capsules.push_back({{-0.697, -2.0, 7.0}, {-0.697, -2.0, 7.9}, 0.6});  // between it and the side camera
+        Rig rig;
+        const auto found = rig.look(scene, kFrame);
+        EXPECT_TRUE(found[0].status == MarkerStatus::Lost || distance(found[0], sphere) < 0.2) << height;
+    }
+}
+
 TEST(Box, NoiseCostsMillimetres) {
     Rig rig;
     const Eigen::Vector3d sphere(0.5, -1.0, 7.0);
