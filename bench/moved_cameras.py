@@ -10,15 +10,11 @@ import json
 import sys
 
 import numpy as np
-from pictures import SAMPLES, SIZE, measure  # first: it chooses what MuJoCo draws with
+from pictures import scene  # first: it chooses what MuJoCo draws with
 
 import mujoco  # isort: skip
 
-from armsight_operator.report.chain import arm_of
-from armsight_operator.report.markers import CHI2_95, Sample, samples_of
-from armsight_sim import description
-from armsight_sim.cameras import Cameras
-from armsight_sim.world import World, load_model
+from armsight_operator.report.markers import CHI2_95, Sample
 
 SHIFT_M = 0.5
 TURN_RAD = 0.05
@@ -30,15 +26,11 @@ def draw_samples(seed: int, count: int) -> list[Sample]:
     Raises:
         subprocess.CalledProcessError: vision refuses the files.
     """
-    model = load_model()
-    position, turn = model.cam_pos.copy(), model.cam_quat.copy()
-    world = World(model, 1 / 30)
-    arm = arm_of(description.describe_arm(model))
-    names = description.camera_names(model)
-    cameras = Cameras(model, names, SIZE, SIZE, SAMPLES)
     random = np.random.default_rng(seed)
     samples: list[Sample] = []
-    try:
+    with scene() as arm:
+        model, limits = arm.model, arm.world.limits
+        position, turn = model.cam_pos.copy(), model.cam_quat.copy()
         for _ in range(count):
             for camera in range(model.ncam):
                 model.cam_pos[camera] = position[camera] + random.uniform(-SHIFT_M, SHIFT_M, 3)
@@ -46,12 +38,7 @@ def draw_samples(seed: int, count: int) -> list[Sample]:
                 small = np.zeros(4)
                 mujoco.mju_axisAngle2Quat(small, axis / np.linalg.norm(axis), random.uniform(-TURN_RAD, TURN_RAD))
                 mujoco.mju_mulQuat(model.cam_quat[camera], turn[camera], small)
-            q = random.uniform(world.limits[:, 0], world.limits[:, 1])
-            world.reset(q)
-            images = dict(zip(names, map(np.copy, cameras.draw(world.data)), strict=True))
-            samples += samples_of(arm, measure(model, images), q, len(names))
-    finally:
-        cameras.close()
+            samples += arm.samples_at(random.uniform(limits[:, 0], limits[:, 1]))
     return samples
 
 

@@ -8,15 +8,14 @@ Gauss-Newton steps with the damped Jacobian and what the null space leaves.
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from armsight_control.chain import Array, Chain
-from armsight_control.kinematics import Links, forward, jacobian, links_of
+from armsight_control.kinematics import forward, jacobian, links_of
 from armsight_control.nullspace import damped_inverse, null_motion
 from armsight_control.solvers import REPORT_FREE
-from armsight_control.solvers.closed_form import solve_one
+from armsight_control.solvers.closed_form import limits_of_report, solve_one
 from armsight_control.solvers.start import for_free
 from armsight_control.solvers.workspace import nearest_reachable
 from armsight_control.tracking import Moving
@@ -102,14 +101,9 @@ def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> 
 
 def _by_closed_form(chain: Chain, point: Array, start: Array) -> tuple[Array, float]:
     """What the solver of that name finds, without what all solvers have around them: twice for every frame."""
-    links, limits = _report_arm(chain)
+    links = links_of(chain)
     x, y, _ = forward(chain, start)
     near, _ = nearest_reachable(links, point, math.atan2(y, x))
     q, columns = start.copy(), list(REPORT_FREE)
-    q[columns] = solve_one(links, limits, near.tolist(), start[columns].tolist())
+    q[columns] = solve_one(links, limits_of_report(chain), near.tolist(), start[columns].tolist())
     return chain.clip(q), float(np.linalg.norm(near - point))
-
-
-@lru_cache(maxsize=4)
-def _report_arm(chain: Chain) -> tuple[Links, list[list[float]]]:
-    return links_of(chain), chain.limits[list(REPORT_FREE)].tolist()

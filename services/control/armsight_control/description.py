@@ -62,6 +62,11 @@ def arm_of(message: ArmDescription) -> Arm:
     )
 
 
+def vector3(values: Array) -> Vector3:
+    """A point or vector as the bus has it."""
+    return Vector3(x=values[0], y=values[1], z=values[2])
+
+
 def _vector(message: Vector3, what: str) -> Array:
     vector = np.array([message.x, message.y, message.z])
     if not np.isfinite(vector).all() or np.abs(vector).max() > _MAX_LENGTH_M:

@@ -6,6 +6,7 @@ The report's symbols are spelt theta, nu, phi, psi for joints 1 to 4; s and c be
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -153,6 +154,7 @@ class Links:
     """From joint 4 to the tip."""
 
 
+@lru_cache(maxsize=16)
 def links_of(chain: Chain) -> Links:
     """The lengths of a chain of the report's shape.
 

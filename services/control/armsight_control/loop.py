@@ -29,17 +29,16 @@ from armsight.v1.control_pb2 import (
     SafetyCode,
 )
 from armsight.v1.description_pb2 import ArmDescription
-from armsight.v1.geometry_pb2 import Vector3
 from armsight.v1.joints_pb2 import JointCommand, JointPositions, JointSetpoint
 from armsight.v1.safety_pb2 import StopState
 from armsight_control import safety
 from armsight_control.chain import Array
 from armsight_control.decision import Decision, blind_code
-from armsight_control.description import Arm, arm_of
+from armsight_control.description import Arm, arm_of, vector3
 from armsight_control.errors import ControlError, PositionsError, SetpointError, SolverError
 from armsight_control.estimators import Estimate, Observer, all_joints, check_estimator, part1, part2
 from armsight_control.kinematics import forward, links_of
-from armsight_control.modes import Mode
+from armsight_control.modes import AIMING, Mode
 from armsight_control.movement import MotionOptions, Movement
 from armsight_control.positions import (
     DistanceBounds,
@@ -325,24 +324,20 @@ class Loop:
             ):
                 joint.sigma_rad, joint.velocity_rad_s, state.velocity = sigma, velocity, velocity
         if self._body is not None:
-            status.tip.CopyFrom(_vector(forward(self._body.arm.chain, estimate.angles)))
+            status.tip.CopyFrom(vector3(forward(self._body.arm.chain, estimate.angles)))
 
     def _fill_target(self, status: ControlStatus) -> None:
         movement = self._movement
         if movement.clearance_m is not None:
             status.clearance_m = movement.clearance_m
-        if self.mode not in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW):
+        if self.mode not in AIMING:
             return
-        status.correction.CopyFrom(_vector(movement.correction))
+        status.correction.CopyFrom(vector3(movement.correction))
         if movement.target is not None and self.mode == CONTROL_MODE_TRACK:
-            status.target.CopyFrom(_vector(movement.target.position))
+            status.target.CopyFrom(vector3(movement.target.position))
         pointed = movement.pointed
         if pointed is not None:
             if self.mode == CONTROL_MODE_FOLLOW:
-                status.target.CopyFrom(_vector(pointed.target))
-            status.reached.CopyFrom(_vector(pointed.reached))
+                status.target.CopyFrom(vector3(pointed.target))
+            status.reached.CopyFrom(vector3(pointed.reached))
             status.target_reachable = pointed.reachable
-
-
-def _vector(values: Array) -> Vector3:
-    return Vector3(x=values[0], y=values[1], z=values[2])

@@ -30,6 +30,9 @@ NAMES: dict[str, ControlMode] = {
     "follow": CONTROL_MODE_FOLLOW,
 }
 
+AIMING = (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW)
+"""Modes in which the tip has a target, and the solver finds the joints."""
+
 INITIAL_NAMES = tuple(name for name in NAMES if name != "joints")
 """Those that need no more than their name."""
 

@@ -43,7 +43,7 @@ from armsight_control.description import Arm
 from armsight_control.detour import Detour, Detours
 from armsight_control.history import History
 from armsight_control.kinematics import forward, jacobian
-from armsight_control.modes import Mode
+from armsight_control.modes import AIMING, Mode
 from armsight_control.nullspace import smallest_singular_value
 from armsight_control.pointing import Pointing
 from armsight_control.positions import LastLinks
@@ -258,7 +258,7 @@ class Movement:
         if body is None:
             return
         commanded = forward(body.arm.chain, self._history.at(step.capture_ns, setpoint))
-        aims = self.mode in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW)
+        aims = self.mode in AIMING
         body.sight.look(message, commanded, step, learns=aims and step.capture_ns - self._rested_ns > _SETTLED_NS)
 
     def move(self, setpoint: Array, step: Step, lead_s: float) -> Decision:

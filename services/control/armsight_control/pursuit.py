@@ -8,10 +8,11 @@ from time import monotonic, sleep
 import numpy as np
 
 from armsight.times import from_timestamp
-from armsight.v1.control_pb2 import CONTROL_MODE_FOLLOW, CONTROL_MODE_TRACK
+from armsight.v1.control_pb2 import CONTROL_MODE_TRACK
 from armsight.v1.joints_pb2 import JointPositions
 from armsight_control.errors import ControlError
 from armsight_control.loop import Loop
+from armsight_control.modes import AIMING
 from armsight_control.solvers import Solution
 from armsight_control.solvers.process import Solvers, Timed
 from armsight_control.tracking import Target
@@ -51,7 +52,7 @@ class Pursuit:
         """Waits for the solution of the present target, so that runs in lockstep repeat; bounded."""
         previous_ns, capture_ns = self._previous_capture_ns, from_timestamp(positions.capture_time)
         self._previous_capture_ns = capture_ns
-        if capture_ns == previous_ns or self._loop.mode not in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW):
+        if capture_ns == previous_ns or self._loop.mode not in AIMING:
             return  # what was answered gets that answer again: the next instant's positions would grow old meanwhile
         until = monotonic() + _MOST_WAIT_S
         if self._loop.mode == CONTROL_MODE_TRACK:

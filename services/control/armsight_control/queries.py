@@ -23,6 +23,7 @@ from armsight.v1.control_pb2 import (
 from armsight.v1.geometry_pb2 import Vector3
 from armsight.v1.joints_pb2 import JointSetpoint
 from armsight_control.chain import Array, Chain
+from armsight_control.description import vector3
 from armsight_control.errors import ModeError, SolverError
 from armsight_control.kinematics import forward, jacobian
 from armsight_control.loop import Loop
@@ -71,7 +72,7 @@ class Queries:
         """Tip and Jacobian of a configuration."""
         chain = self._chain()
         q = configuration_of(request.joints, chain)
-        return ForwardKinematicsResponse(tip=_vector(forward(chain, q)), jacobian=jacobian(chain, q).ravel().tolist())
+        return ForwardKinematicsResponse(tip=vector3(forward(chain, q)), jacobian=jacobian(chain, q).ravel().tolist())
 
     def solve_ik(self, request: SolveIkRequest) -> SolveIkResponse:
         """Solves for one target, or for many."""
@@ -163,11 +164,7 @@ def _answer(solution: Solution, chain: Chain) -> IkSolution:
         joints=[
             JointSetpoint(name=joint, position_rad=angle) for joint, angle in zip(chain.names, solution.q, strict=True)
         ],
-        tip=_vector(solution.tip),
+        tip=vector3(solution.tip),
         residual_m=solution.residual_m,
         iterations=solution.iterations,
     )
-
-
-def _vector(values: Array) -> Vector3:
-    return Vector3(x=values[0], y=values[1], z=values[2])

@@ -28,8 +28,6 @@ from armsight.topics import (
     TARGET,
 )
 from armsight.v1.control_pb2 import (
-    CONTROL_MODE_FOLLOW,
-    CONTROL_MODE_TRACK,
     CONTROL_STATE_BLIND,
     CONTROL_STATE_WAITING,
     ControlStatus,
@@ -39,7 +37,7 @@ from armsight.v1.joints_pb2 import JointPositions
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP
 from armsight_control.latency import Latency
 from armsight_control.loop import Answer, Loop
-from armsight_control.modes import NAMES, Mode
+from armsight_control.modes import AIMING, NAMES, Mode
 from armsight_control.pursuit import Pursuit
 from armsight_control.queries import Queries
 from armsight_control.settings import Settings, parser, settings_of
@@ -126,7 +124,7 @@ class Service:
             health.report(HEALTH_STATUS_DEGRADED, status.detail)
         elif solver.trouble:
             health.report(HEALTH_STATUS_DEGRADED, solver.trouble)
-        elif status.mode in (CONTROL_MODE_TRACK, CONTROL_MODE_FOLLOW) and solver.loading:
+        elif status.mode in AIMING and solver.loading:
             health.report(HEALTH_STATUS_WAITING, "solver loading")
         else:
             health.report(HEALTH_STATUS_OK, "solver loading" if solver.loading else solver.note)

@@ -10,11 +10,13 @@ One target is solved in plain floats, which takes microseconds; batches in numpy
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
-from armsight_control.chain import Array
+from armsight_control.chain import Array, Chain
 from armsight_control.kinematics import Links
+from armsight_control.solvers.problem import REPORT_FREE
 from armsight_control.solvers.workspace import TOLERANCE_M
 
 Angles = tuple[float, float, float]
@@ -76,6 +78,13 @@ def nearest_to(solutions: Iterable[Angles], start: Sequence[float]) -> Angles:
     """
     a, b, c = start
     return min(solutions, key=lambda s: (s[0] - a) * (s[0] - a) + (s[1] - b) * (s[1] - b) + (s[2] - c) * (s[2] - c))
+
+
+@lru_cache(maxsize=16)
+def limits_of_report(chain: Chain) -> list[list[float]]:
+    """Of theta, phi and psi, in plain floats; not to be changed."""
+    limits: list[list[float]] = chain.limits[list(REPORT_FREE)].tolist()
+    return limits
 
 
 def solve_one(

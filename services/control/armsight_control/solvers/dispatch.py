@@ -31,10 +31,8 @@ def _closed_form(task: Task) -> Found:
     if moving == "all four":
         q = redundant.solve(links, task.chain.limits, task.aims, task.starts, task.options.closed_form)
     elif count == 1:
-        limits, start = (
-            [of_all[i] for i in REPORT_FREE] for of_all in (task.chain.limits.tolist(), task.starts[0].tolist())
-        )
-        q = np.array([closed_form.solve_one(links, limits, task.aims[0].tolist(), start)])
+        limits = closed_form.limits_of_report(task.chain)
+        q = np.array([closed_form.solve_one(links, limits, task.aims[0].tolist(), task.free_starts[0].tolist())])
     else:
         q = closed_form.solve_batch(links, task.aims, task.free_starts)
     return Found(q, np.zeros(count, dtype=np.int64), np.ones(count, dtype=np.bool_))
