@@ -10,6 +10,7 @@ from armsight.v1.description_pb2 import SHAPE_BOX, SHAPE_SPHERE, ArmDescription,
 from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, JointPositions, MarkerPosition
 from armsight_control.chain import Array
 from armsight_control.description import Arm
+from armsight_control.positions import Positions
 
 _MAX_POSITION_M = 1e4
 # A covariance of zero claims too much.
@@ -34,21 +35,20 @@ def seen(message: JointPositions, name: str, arm: Arm) -> Seen | None:
     return None
 
 
-def tip_by_markers(message: JointPositions, along: Mapping[str, float], length4: float, arm: Arm) -> Seen | None:
+def tip_by_markers(positions: Positions, along: Mapping[str, float], length4: float) -> Seen | None:
     r"""The tip as the cameras see it, whatever the links' lengths: :math:`p_{red} - (s_{red} - L_4)\, r_4`.
 
     Only the distance between the tip and the marker nearest to it comes from the description (0.15 m of 6): links that
     are longer than described by 1 % change it by 1.5 mm.
 
     Args:
-        message: from vision.
+        positions: of one instant.
         along: markers on the last link's axis, name → metres from joint 4.
         length4: of that link.
-        arm: for the frames.
     """
     names = sorted(along, key=lambda name: abs(along[name] - length4))
     nearest, farthest = names[0], names[-1]
-    near, far = seen(message, nearest, arm), seen(message, farthest, arm)
+    near, far = positions.seen.get(nearest), positions.seen.get(farthest)
     if near is None or far is None:
         return None
     between = (near.position - far.position) * math.copysign(1.0, along[nearest] - along[farthest])
@@ -57,7 +57,7 @@ def tip_by_markers(message: JointPositions, along: Mapping[str, float], length4:
         return None
     offset = along[nearest] - length4
     lever = abs(offset / (along[nearest] - along[farthest]))
-    sigma_m = math.hypot((1 + lever) * near.sigma_m, lever * far.sigma_m)
+    sigma_m = math.hypot((1 + lever) * _worst_sigma(near.covariance), lever * _worst_sigma(far.covariance))
     return Seen(near.position - offset * between / length, sigma_m)
 
 
@@ -86,5 +86,8 @@ def _measured(marker: MarkerPosition, arm: Arm) -> Seen | None:
     if covariance.shape != (9,) or not (np.abs(covariance) < _MAX_POSITION_M**2).all():
         return None
     matrix = covariance.reshape(3, 3)
-    largest = float(np.linalg.eigvalsh((matrix + matrix.T) / 2)[-1])
-    return Seen(arm.world_to_base(place), math.sqrt(max(largest, _FLOOR_M**2)))
+    return Seen(arm.world_to_base(place), _worst_sigma((matrix + matrix.T) / 2))
+
+
+def _worst_sigma(covariance: Array) -> float:
+    return math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), _FLOOR_M**2))

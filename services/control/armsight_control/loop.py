@@ -42,6 +42,7 @@ from armsight_control.modes import AIMING, Mode
 from armsight_control.movement import MotionOptions, Movement
 from armsight_control.positions import (
     DistanceBounds,
+    Positions,
     capture_of,
     last_links_of,
     positions_of,
@@ -251,8 +252,9 @@ class Loop:
             return Decision(CONTROL_STATE_WAITING, detail, reason="no_setpoint", safety=SAFETY_CODE_NOT_READY)
         step = Step(capture_ns, self._since_s(capture_ns))
         try:
-            estimate = self._look(message, body, setpoint, age_s)
-            self._movement.look(message, setpoint, step)
+            positions = positions_of(message, body.arm)
+            estimate = self._look(positions, body, setpoint, age_s)
+            self._movement.look(message, positions, setpoint, step)
         except PositionsError as error:
             code = blind_code(error.reason)
             return Decision(CONTROL_STATE_BLIND, str(error), reason=error.reason, safety=code)
@@ -272,8 +274,7 @@ class Loop:
         self._movement.rest()
         return _PERIOD_S
 
-    def _look(self, message: JointPositions, body: _Body, setpoint: Array, age_s: float) -> Estimate:
-        positions = positions_of(message, body.arm)
+    def _look(self, positions: Positions, body: _Body, setpoint: Array, age_s: float) -> Estimate:
         safety.check_age(age_s)
         body.bounds.check(positions)
         preferred = part1.NAME if self.mode == CONTROL_MODE_TEST_1 else part2.NAME

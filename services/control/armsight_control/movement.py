@@ -46,7 +46,7 @@ from armsight_control.kinematics import forward, jacobian
 from armsight_control.modes import AIMING, Mode
 from armsight_control.nullspace import smallest_singular_value
 from armsight_control.pointing import Pointing
-from armsight_control.positions import LastLinks
+from armsight_control.positions import LastLinks, Positions
 from armsight_control.sight import Sight
 from armsight_control.solvers import Options, Problem, Solution
 from armsight_control.standoff import DISTANCE_M, beside, side_of
@@ -248,8 +248,8 @@ class Movement:
 
     # --- one instant
 
-    def look(self, message: JointPositions, setpoint: Array, step: Step) -> None:
-        """Takes what vision saw, whether the arm may move now or not.
+    def look(self, message: JointPositions, positions: Positions, setpoint: Array, step: Step) -> None:
+        """Takes what vision saw, as it came and checked, whether the arm may move now or not.
 
         Raises:
             PositionsError: the tip jumped as nobody told it to.
@@ -258,8 +258,8 @@ class Movement:
         if body is None:
             return
         commanded = forward(body.arm.chain, self._history.at(step.capture_ns, setpoint))
-        aims = self.mode in AIMING
-        body.sight.look(message, commanded, step, learns=aims and step.capture_ns - self._rested_ns > _SETTLED_NS)
+        learns = self.mode in AIMING and step.capture_ns - self._rested_ns > _SETTLED_NS
+        body.sight.look(message, positions, commanded, step, learns=learns)
 
     def move(self, setpoint: Array, step: Step, lead_s: float) -> Decision:
         """The next setpoint, or why there is none.

@@ -12,7 +12,7 @@ from armsight_control.bodies import BodyNames, seen, tip_by_markers
 from armsight_control.chain import Array
 from armsight_control.correction import Correction, corrected
 from armsight_control.description import Arm
-from armsight_control.positions import LastLinks
+from armsight_control.positions import LastLinks, Positions
 from armsight_control.tracking import Moving, Track, observed, predicted
 from armsight_control.trajectory import Step
 
@@ -40,11 +40,14 @@ class Sight:
         """The slow part of the tip as seen less the tip as commanded, base frame, metres."""
         return self._correction.offset
 
-    def look(self, message: JointPositions, commanded: Array, step: Step, *, learns: bool) -> None:
+    def look(
+        self, message: JointPositions, positions: Positions, commanded: Array, step: Step, *, learns: bool
+    ) -> None:
         """Takes what vision saw.
 
         Args:
-            message: from vision.
+            message: from vision, with the bodies.
+            positions: the arm's markers in it, checked.
             commanded: where the setpoint of this instant puts the tip, base frame, metres.
             step: this instant.
             learns: whether the arm follows the setpoint closely, so that a difference says something of the model.
@@ -55,7 +58,7 @@ class Sight:
         self._sphere = self._watched(self._sphere, message, self._names.sphere, step)
         self._box = self._watched(self._box, message, self._names.box, step)
         links = self._last_links
-        tip = tip_by_markers(message, links.along, links.length4, self._arm)
+        tip = tip_by_markers(positions, links.along, links.length4)
         if tip is None:
             return
         speed = 0.0 if self._expected is None else float(np.linalg.norm(commanded - self._commanded)) / step.dt_s
