@@ -16,6 +16,11 @@ constexpr double kMinDepth = 1e-6;             // metres
 // Focal lengths in sides of the image: from nearly 180 degrees of view to a thousandth of one.
 constexpr double kMinFocal = 1e-3;
 constexpr double kMaxFocal = 1e5;
+// Far beyond every lens, cropped picture and room: what is finite and larger would only overflow later.
+constexpr double kMaxSkew = 1.0;   // of the focal length
+constexpr double kMaxShift = 1e3;  // of the principal point, in sides of the image
+constexpr double kMaxDistortion = 1e6;
+constexpr double kMaxDistance = 1e6;  // metres from the world's origin
 
 bool has_distortion(const Camera& camera) {
     return std::ranges::any_of(camera.distortion, [](double k) { return k != 0.0; });
@@ -28,10 +33,13 @@ bool is_usable(const Camera& camera) {
         return std::cmp_greater_equal(side, kMinImageSide) && std::cmp_less_equal(side, kMaxImageSide);
     };
     const auto sane_focal = [](double focal, int side) { return focal > kMinFocal * side && focal < kMaxFocal * side; };
-    return sane_side(camera.width) && sane_side(camera.height) && camera.K.allFinite() &&
-           sane_focal(camera.K(0, 0), camera.width) && sane_focal(camera.K(1, 1), camera.height) &&
-           std::ranges::all_of(camera.distortion, [](double k) { return std::isfinite(k); }) &&
-           camera.T_world_camera.matrix().allFinite();
+    const auto sane_centre = [](double centre, int side) { return std::abs(centre) <= kMaxShift * side; };
+    const Eigen::Matrix3d& K = camera.K;
+    return sane_side(camera.width) && sane_side(camera.height) && K.allFinite() && sane_focal(K(0, 0), camera.width) &&
+           sane_focal(K(1, 1), camera.height) && std::abs(K(0, 1)) <= kMaxSkew * K(0, 0) &&
+           sane_centre(K(0, 2), camera.width) && sane_centre(K(1, 2), camera.height) &&
+           std::ranges::all_of(camera.distortion, [](double k) { return std::abs(k) <= kMaxDistortion; }) &&
+           camera.T_world_camera.matrix().allFinite() && camera.T_world_camera.translation().norm() <= kMaxDistance;
 }
 
 Eigen::Vector2d distort(const Camera& camera, const Eigen::Vector2d& undistorted) {

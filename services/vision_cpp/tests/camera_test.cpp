@@ -128,6 +128,12 @@ TEST(Camera, EveryKindOfUnusableNumberIsFound) {
         usable_after([](Camera& c) { c.K(0, 0) = 1e-319; }));  // found by fuzzing: a ray through it is infinite
     EXPECT_FALSE(usable_after([](Camera& c) { c.K(1, 1) = 1e300; }));
     EXPECT_FALSE(usable_after([](Camera& c) { c.K(0, 2) = kNan; }));
+    EXPECT_FALSE(usable_after([](Camera& c) { c.K(1, 2) = -1e9; }));
+    EXPECT_FALSE(usable_after([](Camera& c) { c.K(0, 1) = 1e250; }));  // found by fuzzing as well
+    EXPECT_TRUE(usable_after([](Camera& c) { c.K(0, 1) = 0.5; }));
+    EXPECT_TRUE(usable_after([](Camera& c) { c.K(0, 2) = -5000.0; }));  // a crop far beside the optical axis
+    EXPECT_FALSE(usable_after([](Camera& c) { c.distortion[0] = 1e200; }));
+    EXPECT_FALSE(usable_after([](Camera& c) { c.T_world_camera.translation().x() = 1e300; }));
     EXPECT_FALSE(usable_after([](Camera& c) { c.distortion[4] = std::numeric_limits<double>::infinity(); }));
     EXPECT_FALSE(usable_after([](Camera& c) { c.T_world_camera.translation().z() = kNan; }));
     EXPECT_FALSE(usable_after([](Camera& c) { c.T_world_camera.linear()(2, 1) = kNan; }));

@@ -21,8 +21,8 @@ struct Camera {
 /// [i, i+1] x [j, j+1].
 inline constexpr double kWireToImage = 0.5;
 
-/// True when a ray can be computed for every pixel: finite numbers, focal lengths of a
-/// lens, sane size.
+/// True when a ray can be computed for every pixel: finite numbers in the range of lenses, cropped pictures and rooms,
+/// sane size.
 [[nodiscard]] bool is_usable(const Camera& camera);
 
 /// Undistorted point on the plane z = 1 of the optical frame from a distorted one.
