@@ -90,7 +90,8 @@ class Service:
             if lockstep:
                 self._pursuit.catch_up(received.message, self._context.stop)
             with self._lock:
-                answer = self._loop.answer(received.message, age_s)
+                # in lockstep the arm stands until it is answered: positions don't age
+                answer = self._loop.answer(received.message, 0.0 if lockstep else age_s)
             if answer is not None:
                 self._send(answer, received, received_ns)
             if not lockstep:

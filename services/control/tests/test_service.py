@@ -48,6 +48,7 @@ from armsight.v1.control_pb2 import (
     CONTROL_STATE_WAITING,
     IK_STATUS_CONVERGED,
     IK_STATUS_UNREACHABLE,
+    SAFETY_CODE_OK,
     ControlMode,
     ControlStatus,
     ForwardKinematicsRequest,
@@ -156,10 +157,13 @@ class Rig:
             before, self.q = self.q, np.array([joint.position_rad for joint in answered.joints])
             assert np.abs(self.q - before).max() <= 5 / 30 + 1e-9
             self.accepted.put(self.states(self.q, self.capture_ns))
+        return self.status_of(self.capture_ns, timeout_s)
+
+    def status_of(self, capture_ns: int, timeout_s: float = 5.0) -> ControlStatus:
         while True:
             got = self.statuses.recv(timeout_s)
             assert got is not None, "no status"
-            if from_timestamp(got.message.capture_time) == self.capture_ns:
+            if from_timestamp(got.message.capture_time) == capture_ns:
                 return got.message
 
 
@@ -224,12 +228,30 @@ def test_lockstep_waits_for_the_solution_and_two_runs_are_the_same(rig: Rig) -> 
             message = Point3InFrame(frame_id="base", timestamp=to_timestamp(rig.capture_ns + PERIOD_NS))
             message.point.x, message.point.y, message.point.z = 3.6 + 0.02 * k, 1.0, 7.5
             rig.targets.put(message)
-            rig.instant(timeout_s=10)
+            status = rig.instant(timeout_s=10)
+            assert rig.command is not None
+            assert not rig.command.hold, f"instant {k}: {status.detail}"
             path.append(rig.q)
         rig.kill()
         runs.append(np.array(path))
     assert np.ptp(runs[0], axis=0).max() > 0.1, "it moved"
     np.testing.assert_array_equal(runs[0], runs[1])
+
+
+def test_in_lockstep_positions_that_waited_are_not_stale(rig: Rig) -> None:
+    rig.start("--mode", "track", "--solver", "gradient-descent")
+    rig.clock.put(Clock(mode=CLOCK_MODE_LOCKSTEP))
+    rig.reset(np.zeros(4))
+    target = Point3InFrame(frame_id="base")
+    target.point.x, target.point.y, target.point.z = 3.6, 1.0, 7.5
+    rig.targets.put(target)
+    # the first waits for torch to be loaded, and the second for the first
+    for _ in range(2):
+        rig.capture_ns += PERIOD_NS
+        rig.positions.put(rig.camera.positions(rig.q, rig.capture_ns))
+    second = rig.status_of(rig.capture_ns, timeout_s=20)
+    assert second.stages.control_sent_ns - second.stages.control_received_ns > 0.1e9
+    assert second.safety == SAFETY_CODE_OK, second.detail
 
 
 def solves(rig: Rig) -> bool:
