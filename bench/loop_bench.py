@@ -33,6 +33,8 @@ RATE_HZ = 30.0
 LOCKSTEP_SECONDS = 8.0
 RENDERS = 100
 REPLAYED = 600
+CONTROL_MODES = ("test-1", "test-2", "test-all", "track", "follow")
+CONTROL_SECONDS = 20.0
 
 
 @contextlib.contextmanager
@@ -132,6 +134,32 @@ def measure_vision() -> list[Result]:
     ]
 
 
+def measure_control() -> list[Result]:
+    """Positions received to command sent, through the whole stack in lockstep, in each of the modes that move."""
+    os.environ["ARMSIGHT_SHARED_MEMORY"] = ""
+    results = []
+    for mode in CONTROL_MODES:
+        taken_ms: list[float] = []
+
+        def keep(received: Received[ControlStatus], taken_ms: list[float] = taken_ms) -> None:
+            stages = received.message.stages
+            taken_ms.append((stages.control_sent_ns - stages.control_received_ns) / 1e6)
+
+        with Stack(clock="lockstep", target="visible" if mode == "follow" else "default", mode=mode) as stack:
+            stack.start("router")
+            with bus_of(stack) as bus:
+                for name in SERVICES:
+                    stack.start(name)
+                wait_ready(Monitor(bus))
+                time.sleep(1.0)
+                bus.subscriber(topics.CONTROL_STATUS, keep=256, on_message=keep)
+                time.sleep(CONTROL_SECONDS)
+        title = f"lockstep, {mode}: positions received to command sent"
+        results.append(Result(f"{title}, p50", percentile(taken_ms, 50), "ms", "", None, "", None))
+        results.append(at_most(f"{title}, p99", percentile(taken_ms, 99), "ms", 3.0))
+    return results
+
+
 def measure_lockstep() -> list[Result]:
     """Instants a second in lockstep beside rendering alone."""
     os.environ["ARMSIGHT_SHARED_MEMORY"] = ""
@@ -164,4 +192,5 @@ def renders_a_second(samples: int) -> float:
 
 
 if __name__ == "__main__":
-    publish("loop", [*measure_vision(), *measure_latency(False), *measure_latency(True), *measure_lockstep()])
+    results = [*measure_vision(), *measure_control(), *measure_latency(False), *measure_latency(True)]
+    publish("loop", [*results, *measure_lockstep()])
