@@ -11,6 +11,7 @@ from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, JointPositions, MarkerPos
 from armsight_control.chain import Array
 from armsight_control.description import Arm
 from armsight_control.positions import Positions
+from armsight_control.spread import largest_variance
 
 _MAX_POSITION_M = 1e4
 # A covariance of zero claims too much.
@@ -79,15 +80,14 @@ def body_names(message: ArmDescription) -> BodyNames:
 
 
 def _measured(marker: MarkerPosition, arm: Arm) -> Seen | None:
-    place = np.array([marker.position.x, marker.position.y, marker.position.z])
-    covariance = np.array(marker.covariance)
-    if not marker.HasField("position") or not (np.abs(place) < _MAX_POSITION_M).all():
+    place, covariance = [marker.position.x, marker.position.y, marker.position.z], list(marker.covariance)
+    if not marker.HasField("position") or not all(abs(each) < _MAX_POSITION_M for each in place):
         return None
-    if covariance.shape != (9,) or not (np.abs(covariance) < _MAX_POSITION_M**2).all():
+    if len(covariance) != 9 or not all(abs(each) < _MAX_POSITION_M**2 for each in covariance):
         return None
-    matrix = covariance.reshape(3, 3)
-    return Seen(arm.world_to_base(place), _worst_sigma((matrix + matrix.T) / 2))
+    matrix = np.array(covariance).reshape(3, 3)
+    return Seen(arm.world_to_base(np.array(place)), _worst_sigma((matrix + matrix.T) / 2))
 
 
 def _worst_sigma(covariance: Array) -> float:
-    return math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), _FLOOR_M**2))
+    return math.sqrt(max(largest_variance(covariance), _FLOOR_M**2))

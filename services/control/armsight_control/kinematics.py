@@ -5,6 +5,7 @@ The report's symbols are spelt theta, nu, phi, psi for joints 1 to 4; s and c be
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -65,7 +66,8 @@ def jacobian(chain: Chain, q: Array, point: Point | None = None) -> Array:
     point = chain.tip if point is None else point
     q = _checked(chain, q)
     if q.ndim == 1:
-        return _jacobian_of_one(chain, q, point)
+        ((_, of_one),) = points_and_columns(chain, q, [point])
+        return np.array(of_one).T
     rotations, origins = frames(chain, q)
     p = origins[..., point.joint + 1, :] + rotations[..., point.joint + 1, :, :] @ point.position
     columns = np.zeros((*p.shape, chain.count))
@@ -82,8 +84,20 @@ def forward(chain: Chain, q: Array) -> Array:
 
 
 # One configuration in plain floats: numpy's calls on arrays of three cost ten times what they compute.
-_Frame = tuple[tuple[float, ...], tuple[float, float, float]]
+_Triple = tuple[float, float, float]
+_Frame = tuple[tuple[float, ...], _Triple]
 _BASE: _Frame = ((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+
+
+def points_and_columns(chain: Chain, q: Array, points: Sequence[Point]) -> Iterator[tuple[_Triple, list[_Triple]]]:
+    """Points of one configuration with the columns of their Jacobians, in plain floats: metres, and metres per radian.
+
+    Raises:
+        JointCountError: not so many angles as joints.
+    """
+    found = _frames_of_one(chain, _checked(chain, q))
+    axes = _axes_of_one(chain, found)
+    return (_columns_of_one(chain, found, axes, point) for point in points)
 
 
 def _checked(chain: Chain, q: Array) -> Array:
@@ -113,22 +127,31 @@ def _frames_of_one(chain: Chain, q: Array) -> list[_Frame]:
     return found
 
 
-def _carried(frame: _Frame, point: Point) -> tuple[float, float, float]:
+def _carried(frame: _Frame, point: Point) -> _Triple:
     (a, b, c, d, e, f, g, h, i), (u, v, w) = frame
     x, y, z = point.position.tolist()
     return u + a * x + b * y + c * z, v + d * x + e * y + f * z, w + g * x + h * y + i * z
 
 
-def _jacobian_of_one(chain: Chain, q: Array, point: Point) -> Array:
-    found = _frames_of_one(chain, q)
-    x, y, z = _carried(found[point.joint + 1], point)
+def _columns_of_one(
+    chain: Chain, found: list[_Frame], axes: list[_Triple], point: Point
+) -> tuple[_Triple, list[_Triple]]:
+    """A point, and how it moves with every joint: the columns of its Jacobian."""
+    x, y, z = place = _carried(found[point.joint + 1], point)
     columns = [(0.0, 0.0, 0.0)] * chain.count
-    for n, (k, l, m) in enumerate(chain.axes[: point.joint + 1].tolist()):  # noqa: E741
-        (a, b, c, d, e, f, g, h, i), (u, v, w) = found[n + 1]
-        k, l, m = a * k + b * l + c * m, d * k + e * l + f * m, g * k + h * l + i * m  # noqa: E741
+    for n, (k, l, m) in enumerate(axes[: point.joint + 1]):  # noqa: E741
+        _, (u, v, w) = found[n + 1]
         u, v, w = x - u, y - v, z - w
         columns[n] = (l * w - m * v, m * u - k * w, k * v - l * u)
-    return np.array(columns).T
+    return place, columns
+
+
+def _axes_of_one(chain: Chain, found: list[_Frame]) -> list[_Triple]:
+    """Of every joint, in the base frame."""
+    turned = []
+    for (k, l, m), ((a, b, c, d, e, f, g, h, i), _) in zip(chain.axes.tolist(), found[1:], strict=True):  # noqa: E741
+        turned.append((a * k + b * l + c * m, d * k + e * l + f * m, g * k + h * l + i * m))
+    return turned
 
 
 def _turn(axis: Array, angle: Array) -> Array:

@@ -5,18 +5,15 @@ ends in an answer that holds, with its reason counted.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from foxglove_schemas_protobuf.JointState_pb2 import JointState
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 
 from armsight.counters import Counters
-from armsight.times import NS_PER_S, from_timestamp, to_duration, to_timestamp
+from armsight.times import NS_PER_S, from_timestamp
 from armsight.v1.control_pb2 import (
-    CONTROL_MODE_FOLLOW,
     CONTROL_MODE_TEST_1,
-    CONTROL_MODE_TRACK,
     CONTROL_STATE_BLIND,
     CONTROL_STATE_STOPPED,
     CONTROL_STATE_WAITING,
@@ -24,21 +21,20 @@ from armsight.v1.control_pb2 import (
     SAFETY_CODE_OK,
     SAFETY_CODE_STOPPED,
     ControlMode,
-    ControlStatus,
-    JointEstimate,
     SafetyCode,
 )
 from armsight.v1.description_pb2 import ArmDescription
-from armsight.v1.joints_pb2 import JointCommand, JointPositions, JointSetpoint
+from armsight.v1.joints_pb2 import JointPositions
 from armsight.v1.safety_pb2 import StopState
 from armsight_control import safety
+from armsight_control.answer import VALID_FOR_S, Aimed, Answer, command_of
 from armsight_control.chain import Array
 from armsight_control.decision import Decision, blind_code
-from armsight_control.description import Arm, arm_of, vector3
+from armsight_control.description import Arm, arm_of
 from armsight_control.errors import ControlError, PositionsError, SetpointError, SolverError
 from armsight_control.estimators import Estimate, Observer, all_joints, check_estimator, part1, part2
-from armsight_control.kinematics import forward, links_of
-from armsight_control.modes import AIMING, Mode
+from armsight_control.kinematics import links_of
+from armsight_control.modes import Mode
 from armsight_control.movement import MotionOptions, Movement
 from armsight_control.positions import (
     DistanceBounds,
@@ -52,22 +48,8 @@ from armsight_control.solvers import Options, Problem, Solution
 from armsight_control.tracking import Target
 from armsight_control.trajectory import MotionLimits, Step
 
-# How long a command counts, in simulated time: MoveIt Servo's default.
-VALID_FOR_S = 0.1
 # Since an answer that is not known: sim's 30 frames a second.
 _PERIOD_S = 1 / 30
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What one instant's positions are answered with."""
-
-    capture_ns: int
-    command: JointCommand
-    estimated: JointStates
-    status: ControlStatus
-    again: bool = False
-    """The same answer was given before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,9 +209,7 @@ class Loop:
         if self._last is not None and capture_ns <= self._last.capture_ns:
             same = capture_ns == self._last.capture_ns
             self._counters.add("positions_again" if same else "positions_refused_order")
-            return (
-                Answer(capture_ns, self._last.command, self._last.estimated, self._last.status, True) if same else None
-            )
+            return replace(self._last, again=True) if same else None
         decision = self._decide(message, capture_ns, age_s)
         if decision.setpoint is None:
             self._movement.rest()
@@ -282,63 +262,16 @@ class Loop:
         safety.check_astray(body.arm.chain, setpoint, tip, self._limits.speed_share)
         return estimate
 
-    # --- messages
-
     def _answer(self, message: JointPositions, capture_ns: int, decision: Decision) -> Answer:
-        stamp = to_timestamp(capture_ns)
-        command = JointCommand(
-            answers=stamp,
-            valid_for=to_duration(VALID_FOR_S),
-            hold=decision.setpoint is None,
+        movement, chain = self._movement, None if self._body is None else self._body.arm.chain
+        target = None if movement.target is None else movement.target.position
+        return Answer(
+            capture_ns=capture_ns,
+            command=command_of(message, decision, () if chain is None else chain.names),
             stages=message.stages,
-        )
-        status = ControlStatus(
-            capture_time=stamp,
             mode=self.mode,
-            state=decision.state,
-            detail=decision.detail,
-            stages=message.stages,
-            safety=decision.safety,
+            decision=decision,
+            chain=chain,
+            estimate=self._estimate,
+            aimed=Aimed(movement.clearance_m, movement.correction, target, movement.pointed),
         )
-        estimated = JointStates(timestamp=stamp)
-        if self._body is not None:
-            names = self._body.arm.chain.names
-            if decision.setpoint is not None:
-                for name, angle in zip(names, decision.setpoint, strict=True):
-                    command.joints.append(JointSetpoint(name=name, position_rad=angle))
-            if self._estimate is not None:
-                self._fill_estimate(status, estimated, names, self._estimate)
-            self._fill_target(status)
-        return Answer(capture_ns, command, estimated, status)
-
-    def _fill_estimate(
-        self, status: ControlStatus, estimated: JointStates, names: tuple[str, ...], estimate: Estimate
-    ) -> None:
-        seen_now = status.state not in (CONTROL_STATE_BLIND, CONTROL_STATE_WAITING)
-        status.estimator = estimate.estimator
-        for name, angle, observable in zip(names, estimate.angles, estimate.observable, strict=True):
-            status.joints.append(JointEstimate(name=name, position_rad=angle, observable=observable and seen_now))
-            estimated.joints.append(JointState(name=name, position=angle))
-        if estimate.sigma is not None and estimate.velocity is not None:
-            for joint, state, sigma, velocity in zip(
-                status.joints, estimated.joints, estimate.sigma, estimate.velocity, strict=True
-            ):
-                joint.sigma_rad, joint.velocity_rad_s, state.velocity = sigma, velocity, velocity
-        if self._body is not None:
-            status.tip.CopyFrom(vector3(forward(self._body.arm.chain, estimate.angles)))
-
-    def _fill_target(self, status: ControlStatus) -> None:
-        movement = self._movement
-        if movement.clearance_m is not None:
-            status.clearance_m = movement.clearance_m
-        if self.mode not in AIMING:
-            return
-        status.correction.CopyFrom(vector3(movement.correction))
-        if movement.target is not None and self.mode == CONTROL_MODE_TRACK:
-            status.target.CopyFrom(vector3(movement.target.position))
-        pointed = movement.pointed
-        if pointed is not None:
-            if self.mode == CONTROL_MODE_FOLLOW:
-                status.target.CopyFrom(vector3(pointed.target))
-            status.reached.CopyFrom(vector3(pointed.reached))
-            status.target_reachable = pointed.reachable

@@ -64,14 +64,13 @@ def null_motion(chain: Chain, q: Array, by_joint: Array, free: tuple[int, ...]) 
     """
     if len(free) <= by_joint.shape[0]:
         return np.zeros(len(free))
-    gradient = np.empty(len(free))
-    for column, joint in enumerate(free):
-        step = np.zeros(chain.count)
-        step[joint] = _DIFFERENCE_RAD
-        gradient[column] = (cost(chain, q + step, free) - cost(chain, q - step, free)) / (2 * _DIFFERENCE_RAD)
     _, sigma, right = np.linalg.svd(by_joint)
     rank = int((sigma > 1e-6).sum())
-    basis = right[rank:]
-    motion = -_RATE_RAD2_S * basis.T @ (basis @ gradient)
+    motion = np.zeros(len(free))
+    for direction in right[rank:]:
+        step = np.zeros(chain.count)
+        step[list(free)] = _DIFFERENCE_RAD * direction
+        slope = (cost(chain, q + step, free) - cost(chain, q - step, free)) / (2 * _DIFFERENCE_RAD)
+        motion -= _RATE_RAD2_S * slope * direction
     largest = float(np.abs(motion).max())
     return np.asarray(motion * min(1.0, _MOST_RAD_S / largest) if largest > 0 else motion)

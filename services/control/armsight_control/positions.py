@@ -10,7 +10,7 @@ is good and does no harm where it is not.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -196,13 +196,17 @@ class DistanceBounds:
         q = np.take_along_axis(choices, picked, axis=0)
         places = {name: position(arm.chain, q, point) for name, point in arm.markers.items()}
         fixed = {f"joint {i + 1}": place for i, place in _fixed_origins(arm.chain).items()}
-        self._fixed = fixed
-        self._bounds: list[tuple[str, str, float, float]] = []
         others: dict[str, Array] = {**places, **fixed}
-        for name, place in places.items():
-            for other in (*(other for other in places if other > name), *fixed):
-                distance = np.linalg.norm(place - others[other], axis=-1)
-                self._bounds.append((name, other, float(distance.min()), float(distance.max())))
+        self._names = list(others)
+        self._rows = {name: i for i, name in enumerate(others)}
+        self._places, self._covariances = np.full((len(others), 3), np.nan), np.zeros((len(others), 3, 3))
+        for name, place in fixed.items():
+            self._places[self._rows[name]] = place
+        pairs = [(name, other) for name in places for other in (*(o for o in places if o > name), *fixed)]
+        distances = [np.linalg.norm(places[name] - others[other], axis=-1) for name, other in pairs]
+        self._least = np.array([each.min() for each in distances])
+        self._greatest = np.array([each.max() for each in distances])
+        self._pairs = np.array([[self._rows[name] for name in pair] for pair in pairs], dtype=np.intp).reshape(-1, 2).T
 
     def check(self, positions: Positions) -> None:
         """Compares the markers of one instant with what the arm allows.
@@ -210,19 +214,23 @@ class DistanceBounds:
         Raises:
             PositionsError: two markers are nearer or farther than they can be, given their covariances.
         """
-        for name, other, least, greatest in self._bounds:
-            first, second = positions.seen.get(name), positions.seen.get(other)
-            place = second.position if second is not None else self._fixed.get(other)
-            if first is None or place is None:
-                continue
-            between = first.position - place
-            distance = float(np.sqrt(between @ between))
-            spread = first.covariance if second is None else first.covariance + second.covariance
-            sigma = math.sqrt(max(0.0, float(between @ spread @ between))) / max(distance, 1e-9)
-            slack = _DISTANCE_SLACK_M + _DISTANCE_SIGMAS * sigma
-            if not least - slack <= distance <= greatest + slack:
-                text = f"{name} is {distance:.2f} m from {other}; this arm allows {least:.2f} to {greatest:.2f} m"
-                raise PositionsError("implausible", text)
+        places, covariances = self._places.copy(), self._covariances.copy()
+        for name, marker in positions.seen.items():
+            places[self._rows[name]], covariances[self._rows[name]] = marker.position, marker.covariance
+        first, second = self._pairs
+        between = places[first] - places[second]
+        distances = np.sqrt((between * between).sum(axis=1))
+        spreads = ((covariances[first] + covariances[second]) @ between[:, :, None])[:, :, 0]
+        sigmas = np.sqrt(np.maximum(0.0, (spreads * between).sum(axis=1))) / np.maximum(distances, 1e-9)
+        slack = _DISTANCE_SLACK_M + _DISTANCE_SIGMAS * sigmas
+        # a marker that is not seen is nowhere, and no comparison with nowhere is true
+        wrong = (distances < self._least - slack) | (distances > self._greatest + slack)
+        if wrong.any():
+            i = int(wrong.argmax())
+            name, other = self._names[first[i]], self._names[second[i]]
+            text = f"{name} is {distances[i]:.2f} m from {other}"
+            allowed = f"this arm allows {self._least[i]:.2f} to {self._greatest[i]:.2f} m"
+            raise PositionsError("implausible", f"{text}; {allowed}")
 
 
 def _fixed_origins(chain: Chain) -> dict[int, Array]:
@@ -248,19 +256,30 @@ def _covariances(markers: Mapping[str, MarkerPosition]) -> Array:
     for name, marker in markers.items():
         if len(marker.covariance) != 9:
             raise PositionsError("covariance", f"marker {name} has no finite 3x3 covariance")
-    matrices = np.array([marker.covariance for marker in markers.values()]).reshape(-1, 3, 3)
+    matrices = np.array([marker.covariance[:] for marker in markers.values()]).reshape(-1, 3, 3)
     sizes = np.abs(matrices).max(axis=(1, 2))
     for name, finite in zip(markers, sizes < _MAX_POSITION_M**2, strict=True):
         if not finite:
             raise PositionsError("covariance", f"marker {name} has no finite 3x3 covariance")
     mirrored = matrices.transpose(0, 2, 1)
     uneven = np.abs(matrices - mirrored).max(axis=(1, 2)) > 1e-6 * sizes
-    bad = uneven | (np.linalg.eigvalsh(matrices)[:, 0] < -1e-6 * sizes)
-    for name, wrong in zip(markers, bad, strict=True):
-        if wrong:
-            raise PositionsError("covariance", f"marker {name} has a covariance that is not symmetric and positive")
     # rounding may leave it a little below zero: the fit must be able to factorise it
-    return np.asarray((matrices + mirrored) / 2 + np.eye(3) * (1e-6 * sizes)[:, None, None])
+    lifted = (matrices + mirrored) / 2 + np.eye(3) * (1e-6 * sizes)[:, None, None]
+    for name, matrix, wrong in zip(markers, lifted.tolist(), uneven.tolist(), strict=True):
+        if wrong or not _is_positive(matrix):
+            raise PositionsError("covariance", f"marker {name} has a covariance that is not symmetric and positive")
+    return np.asarray(lifted)
+
+
+def _is_positive(matrix: Sequence[Sequence[float]]) -> bool:
+    """Whether a symmetric 3 x 3 matrix has no direction of negative variance: by its pivots; all zero will do."""
+    (a, b, c), (_, d, e), (_, _, f) = matrix
+    if a == b == c == d == e == f == 0:
+        return True
+    if not a > 0:
+        return False
+    second, between = d - b * b / a, e - b * c / a
+    return second > 0 and f - c * c / a - between * between / second > 0
 
 
 def _unit(vector: Array) -> Array:

@@ -35,8 +35,9 @@ from armsight.v1.control_pb2 import (
 from armsight.v1.health_pb2 import HEALTH_STATUS_DEGRADED, HEALTH_STATUS_OK, HEALTH_STATUS_WAITING
 from armsight.v1.joints_pb2 import JointPositions
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP
+from armsight_control.answer import Answer
 from armsight_control.latency import Latency
-from armsight_control.loop import Answer, Loop
+from armsight_control.loop import Loop
 from armsight_control.modes import AIMING, NAMES, Mode
 from armsight_control.pursuit import Pursuit
 from armsight_control.queries import Queries
@@ -106,11 +107,11 @@ class Service:
         return clock is not None and clock.message.mode == CLOCK_MODE_LOCKSTEP
 
     def _send(self, answer: Answer, received: Received[JointPositions], received_ns: int) -> None:
-        for stages in (answer.command.stages, answer.status.stages):
-            stages.control_received_ns = received_ns
-            stages.control_sent_ns = wall_ns()
+        stages = answer.command.stages
+        stages.control_received_ns, stages.control_sent_ns = received_ns, wall_ns()
         self._commands.put(answer.command)
         self._latency.add(monotonic() - received.received_s)
+        answer.status.stages.CopyFrom(stages)
         self._estimates.put(answer.estimated)
         self._statuses.put(answer.status)
         self._report(answer.status)

@@ -7,6 +7,7 @@ axes share one covariance of state. A point that no motion explains is another t
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
@@ -101,6 +102,21 @@ def observed(track: Track | None, stamp_ns: int, position: Array, sigma_m: float
     if not 0 < dt <= FORESEEN_S:
         moved = float(np.linalg.norm(position - track.state[0]))
         return replace(begun(stamp_ns, position, sigma_m), jumped=moved > _JUMP_M)
+    carry, noise = _model(dt)
+    state, covariance = carry @ track.state, carry @ track.covariance @ carry.T + noise
+    innovation = position - state[0]
+    variance = float(covariance[0, 0]) + sigma_m**2
+    off = math.hypot(*innovation)
+    if off > _JUMP_M and off > _JUMP_SIGMAS * math.sqrt(variance):
+        return replace(begun(stamp_ns, position, sigma_m), jumped=True)
+    gain = covariance[:, :1] / variance
+    covariance = covariance - gain * covariance[0]
+    return Track(stamp_ns, state + gain * innovation, (covariance + covariance.T) / 2)
+
+
+@lru_cache(maxsize=64)
+def _model(dt: float) -> tuple[Array, Array]:
+    """Transition and noise over ``dt`` seconds: frames come at few different intervals."""
     carry = np.array([[1.0, dt, dt * dt / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
     noise = _JERK_DENSITY * np.array(
         [
@@ -109,15 +125,7 @@ def observed(track: Track | None, stamp_ns: int, position: Array, sigma_m: float
             [dt**3 / 6, dt**2 / 2, dt],
         ]
     )
-    state, covariance = carry @ track.state, carry @ track.covariance @ carry.T + noise
-    innovation = position - state[0]
-    variance = float(covariance[0, 0]) + sigma_m**2
-    off = float(np.linalg.norm(innovation))
-    if off > _JUMP_M and off > _JUMP_SIGMAS * math.sqrt(variance):
-        return replace(begun(stamp_ns, position, sigma_m), jumped=True)
-    gain = covariance[:, 0] / variance
-    covariance = covariance - np.outer(gain, covariance[0])
-    return Track(stamp_ns, state + np.outer(gain, innovation), (covariance + covariance.T) / 2)
+    return carry, noise
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from armsight_control.chain import Array, Chain, Point
 from armsight_control.description import Arm
 from armsight_control.errors import PositionsError
-from armsight_control.estimators import AllJoints, Outcome
+from armsight_control.estimators import AllJoints, Outcome, kalman
 from armsight_control.estimators.candidates import Candidates
 from armsight_control.estimators.gauss_newton import Belief, fit, readings_of
 from armsight_control.estimators.marker_model import MarkerModel
@@ -325,3 +325,14 @@ def test_whatever_positions_arrive_angles_are_finite_and_within_the_limits(
             assert np.isfinite(values).all()
         assert math.isfinite(outcome.tip_sigma)
         assert (outcome.estimate.angles == arm.chain.clip(outcome.estimate.angles)).all()
+
+
+def test_prediction_is_that_of_a_constant_velocity(rng: np.random.Generator) -> None:
+    n, dt_s, density = 4, 0.04, rng.uniform(0.1, 2.0, 4)
+    root = rng.normal(size=(2 * n, 2 * n))
+    before = kalman.Moving(rng.normal(size=n), rng.normal(size=n), root @ root.T)
+    after = kalman.predicted(before, dt_s, np.zeros(n), density)
+    carry = np.kron([[1.0, dt_s], [0.0, 1.0]], np.eye(n))
+    noise = np.kron([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]], np.diag(density))
+    np.testing.assert_allclose(after.covariance, carry @ before.covariance @ carry.T + noise, rtol=1e-12)
+    np.testing.assert_allclose(np.append(after.q, after.v), carry @ np.append(before.q, before.v))

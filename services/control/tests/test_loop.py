@@ -31,11 +31,12 @@ from armsight.v1.joints_pb2 import (
     MarkerStatus,
 )
 from armsight.v1.safety_pb2 import StopSource, StopState
+from armsight_control.answer import Answer
 from armsight_control.chain import Array
 from armsight_control.description import Arm
 from armsight_control.errors import ControlError, ModeError, SetpointError
 from armsight_control.kinematics import forward
-from armsight_control.loop import Answer, Loop
+from armsight_control.loop import Loop
 from armsight_control.modes import NAMES, Mode, mode_of
 from armsight_control.movement import MotionOptions
 from armsight_control.solvers import Options, solve

@@ -18,6 +18,7 @@ from armsight_control.estimators.gauss_newton import Belief, Fit, Readings, fit,
 from armsight_control.estimators.kalman import Moving, at_rest, loosened, predicted, updated
 from armsight_control.estimators.marker_model import MarkerModel, Placed
 from armsight_control.positions import Positions
+from armsight_control.spread import largest_variance
 
 NAME = "all"
 
@@ -55,6 +56,7 @@ _UNKNOWN_RAD = 10.0
 # The report's definition of observable: 2 mm on every marker move the joint by less than 10 mrad. A marker vaguer than
 # 20 mm counts by its own covariance.
 _NOISE_M, _VAGUE_M, _OBSERVABLE_RAD = 0.002, 0.020, 0.010
+_AS_REPORTED = np.eye(3) / _NOISE_M**2
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ class AllJoints:
                     best = self._fit(readings, prior)
         moving = updated(prior, best.q, _inverse(best.information))
         by_tip = best.placed.jacobians[-1]
-        spread = np.linalg.eigvalsh(by_tip @ moving.angles_covariance @ by_tip.T)[-1]
+        spread = largest_variance(by_tip @ moving.angles_covariance @ by_tip.T)
         sigma = np.sqrt(np.diagonal(moving.angles_covariance))
         estimate = Estimate(
             estimator=NAME,
@@ -128,7 +130,7 @@ class AllJoints:
             sigma=sigma,
             velocity=moving.v,
         )
-        return Outcome(replace(track, moving=moving), estimate, sigma, max(0.0, float(spread)) ** 0.5, restarted)
+        return Outcome(replace(track, moving=moving), estimate, sigma, max(0.0, spread) ** 0.5, restarted)
 
     def _carried(self, track: Track | None, capture_ns: int, setpoint: Array) -> tuple[Track, Moving]:
         """The track at this instant and what it predicts; anew from the setpoint where nothing can be carried on."""
@@ -148,7 +150,7 @@ class AllJoints:
         return Track(moving, capture_ns, setpoint, np.zeros(len(setpoint)), 0.0), moving
 
     def _fit(self, readings: Readings, prior: Moving) -> Fit:
-        belief = Belief(prior.q, _inverse(prior.angles_covariance))
+        belief = Belief(prior.q, prior.angles_information)
         return fit(self._model, readings, belief, self._chain.clip(prior.q), 1 / _READINGS_WORTH_ONE, _STEPS)
 
     def _is_wrong(self, best: Fit, found: Fit, readings: Readings) -> bool:
@@ -176,14 +178,14 @@ def _inverse(matrix: Array) -> Array:
 def _surprise(best: Fit, prior: Moving) -> float:
     """Chi squared of markers and prediction together."""
     off = best.q - prior.q
-    return best.misfit + float(off @ np.linalg.solve(prior.angles_covariance, off))
+    return best.misfit + float(off @ prior.angles_information @ off)
 
 
 def _told(readings: Readings, placed: Placed) -> tuple[bool, ...]:
     """Which joints the markers of this instant tell."""
     joints = placed.jacobians.shape[2]
     jacobians = placed.jacobians[readings.rows]
-    weights = np.where(readings.spreads[:, None, None] > _VAGUE_M, readings.weights, np.eye(3) / _NOISE_M**2)
+    weights = np.where(readings.spreads[:, None, None] > _VAGUE_M, readings.weights, _AS_REPORTED)
     information = jacobians.reshape(-1, joints).T @ (weights @ jacobians).reshape(-1, joints)
     # so little that a joint which nothing tells comes out as not told instead of as a singular matrix
     variances = np.diagonal(np.linalg.inv(information + np.eye(joints) * 1e-6))

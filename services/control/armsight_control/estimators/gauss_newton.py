@@ -20,6 +20,7 @@ from armsight_control.positions import Positions
 # Systematic errors that no covariance of a single frame knows: of the lens' and sphere's model, one camera pixel being
 # 38 mm. It keeps a marker that claims micrometres from outweighing all others.
 FLOOR_M = 1e-3
+_FLOOR = np.eye(3) * FLOOR_M**2
 # Normalised errors of more than this are not of the stated distribution (0.1 % of three normal variables are beyond).
 _HUBER_SIGMAS = 4.0
 # No step is longer: from far away the linear model is wrong.
@@ -71,8 +72,8 @@ def readings_of(positions: Positions, model: MarkerModel) -> Readings:
     return Readings(
         rows=np.array([model.index[name] for name in names], dtype=np.intp),
         points=np.array([positions.seen[name].position for name in names]).reshape(-1, 3),
-        weights=np.asarray(np.linalg.inv(covariances + np.eye(3) * FLOOR_M**2), dtype=np.float64),
-        spreads=np.sqrt(np.trace(covariances, axis1=1, axis2=2)),
+        weights=np.asarray(np.linalg.inv(covariances + _FLOOR), dtype=np.float64),
+        spreads=np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1] + covariances[:, 2, 2]),
     )
 
 

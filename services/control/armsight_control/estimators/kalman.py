@@ -12,13 +12,14 @@ and :math:`s \Delta t^2/2` between them.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from armsight_control.chain import Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Moving:
     """Where every joint is and how fast it turns; radians and seconds."""
 
@@ -31,6 +32,11 @@ class Moving:
     def angles_covariance(self) -> Array:
         """Joints x joints."""
         return self.covariance[: len(self.q), : len(self.q)]
+
+    @cached_property
+    def angles_information(self) -> Array:
+        """The inverse of :attr:`angles_covariance`."""
+        return np.asarray(np.linalg.inv(self.angles_covariance), dtype=np.float64)
 
 
 def at_rest(q: Array, sigma_rad: float, sigma_rad_s: float) -> Moving:
@@ -50,16 +56,12 @@ def predicted(state: Moving, dt_s: float, change: Array, density: Array) -> Movi
     """
     n = len(state.q)
     v = state.v + change
-    angles, between, speeds = state.covariance[:n, :n], state.covariance[:n, n:], state.covariance[n:, n:]
-    covariance = np.empty_like(state.covariance)
-    covariance[:n, :n] = angles + dt_s * (between + between.T) + dt_s**2 * speeds
-    covariance[:n, n:] = between + dt_s * speeds
-    covariance[n:, n:] = speeds
-    each = np.arange(n)
-    covariance[each, each] += density * (dt_s**3 / 3)
-    covariance[each, n + each] += density * (dt_s**2 / 2)
-    covariance[n + each, n + each] += density * dt_s
-    covariance[n:, :n] = covariance[:n, n:].T
+    covariance = state.covariance.copy()
+    covariance[:n] += dt_s * covariance[n:]
+    covariance[:, :n] += dt_s * covariance[:, n:]
+    noise = np.array([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]])[:, :, None] * density
+    blocks = np.einsum("aibi->abi", covariance.reshape(2, n, 2, n))  # a view of the four blocks' diagonals
+    blocks += noise
     return Moving(state.q + v * dt_s, v, covariance)
 
 
@@ -85,6 +87,6 @@ def updated(state: Moving, q: Array, angles_covariance: Array) -> Moving:
         angles_covariance: of the fit, prior included.
     """
     n = len(state.q)
-    gain = np.linalg.solve(state.angles_covariance, state.covariance[:n]).T
+    gain = state.covariance[:, :n] @ state.angles_information
     covariance = state.covariance - gain @ (state.angles_covariance - angles_covariance) @ gain.T
     return Moving(q, state.v + (gain @ (q - state.q))[n:], (covariance + covariance.T) / 2)

@@ -1,0 +1,21 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armsight_control.spread import largest_variance
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-12, 6), st.floats(0, 6))
+def test_the_largest_variance_is_the_largest_eigenvalue(seed: int, magnitude: float, decades: float) -> None:
+    rng = np.random.default_rng(seed)
+    directions, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    variances = 10**magnitude * np.array([1.0, 10 ** (-decades * rng.random()), 10**-decades])
+    covariance = directions @ np.diag(variances) @ directions.T
+    np.testing.assert_allclose(largest_variance(covariance), np.linalg.eigvalsh(covariance)[-1], rtol=1e-7)
+
+
+def test_equal_and_vanishing_variances() -> None:
+    assert largest_variance(np.eye(3) * 0.25) == 0.25
+    assert largest_variance(np.zeros((3, 3))) == 0.0
+    assert largest_variance(np.diag([1e-300, 0.0, 0.0])) >= 0.0
+    np.testing.assert_allclose(largest_variance(np.diag([-1.0, 2.0, -3.0])), 2.0)
