@@ -328,9 +328,11 @@ def test_killed_and_restarted_it_goes_on_from_the_accepted_setpoint_and_never_to
     rig.kill()
     before = rig.q
     rig.start("--mode", "test-2")
+    # the first answers of a process that has just begun may be late on a busy machine, which is not the question here
+    rig.clock.put(Clock(mode=CLOCK_MODE_LOCKSTEP))
     for _ in range(100):
         status = rig.instant()
-        assert status.state in (CONTROL_STATE_MOVING, CONTROL_STATE_WAITING)
+        assert status.state in (CONTROL_STATE_MOVING, CONTROL_STATE_WAITING), status.detail
         assert np.abs(rig.q - before).max() <= 0.3 * 5 / 30 + 1e-9
         before = rig.q
 
