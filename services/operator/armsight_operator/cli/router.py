@@ -5,7 +5,7 @@ import signal
 import threading
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -28,22 +28,36 @@ def router(
         ),
     ] = None,
     health: Annotated[bool, typer.Option("--health", help="Only ask whether one runs there.")] = False,
+    insecure_bind: Annotated[
+        bool,
+        typer.Option(
+            "--insecure-bind",
+            help="Listen where other machines connect, though without certificates: whoever does moves the arm.",
+        ),
+    ] = False,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Run the router that every service connects to, until SIGTERM or Ctrl-C."""
+    """Run the router that every service connects to, until SIGTERM or Ctrl-C.
+
+    Without certificates (`armsight certs make`) it listens on this machine alone, unless --insecure-bind is given.
+    """
     from armsight_operator.cli.bus import configuration
+    from armsight_operator.exposure import check_exposure, reachable_from_here
 
     config = configuration(None, None, zenoh_config, shared_memory="read")
-    endpoints = tuple(listen or _listen_in(config.file) or ("tcp/127.0.0.1:7447",))
+    endpoints = tuple(listen or _in_file(config.file, "listen/endpoints") or ("tcp/127.0.0.1:7447",))
     if health:
-        _probe(replace(config, endpoints=endpoints))
-    else:
-        _run(replace(config, mode="router", endpoints=endpoints, namespace=""))
+        _probe(replace(config, endpoints=tuple(map(reachable_from_here, endpoints))))
+        return
+    if not insecure_bind:
+        check_exposure(endpoints, mutual_tls=bool(_in_file(config.file, "transport/link/tls/enable_mtls")))
+    _run(replace(config, mode="router", endpoints=endpoints, namespace=""))
 
 
 def _run(config: "SessionConfig") -> None:
     from armsight.logs import set_up_logging
     from armsight.session import open_session
+    from armsight_operator.exposure import is_local
 
     set_up_logging("router", "warning")
     stop = threading.Event()
@@ -53,7 +67,8 @@ def _run(config: "SessionConfig") -> None:
     if session is None:
         return
     with session:
-        print(f"router listens on {', '.join(config.endpoints)}", flush=True)
+        who = "this machine only" if all(map(is_local, config.endpoints)) else "other machines, too"
+        print(f"router listens on {', '.join(config.endpoints)} ({who})", flush=True)
         stop.wait()
 
 
@@ -64,9 +79,9 @@ def _probe(config: "SessionConfig") -> None:
         print(f"a router answers at {', '.join(config.endpoints)}")
 
 
-def _listen_in(file: Path | None) -> list[str]:
+def _in_file(file: Path | None, path: str) -> Any:
     if file is None:
-        return []
+        return None
     import zenoh
 
-    return json.loads(zenoh.Config.from_file(str(file)).get_json("listen/endpoints")) or []
+    return json.loads(zenoh.Config.from_file(str(file)).get_json(path))
