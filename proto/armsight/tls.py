@@ -23,6 +23,8 @@ _OURS = {
 }
 """What the router has against us, by the name of its alert."""
 
+_NO_TLS = "what listens there speaks no TLS: connect to tcp/…, or start the router with its --zenoh-config"
+
 _EXPIRED, _HOST_MISMATCH, _ADDRESS_MISMATCH = 10, 62, 64
 """OpenSSL's codes of what we have against the router."""
 
@@ -73,15 +75,21 @@ def _refusal(host: str, port: int, files: TlsFiles) -> str:
         return f"{files.ca}, {files.certificate} and {files.key} don't fit together: {error.reason or 'not PEM files'}"
     with socket.create_connection((host, port), _TIMEOUT_S) as plain:
         try:
-            with context.wrap_socket(plain, server_hostname=host) as link:
-                link.recv(1)  # only now comes what the router has against our certificate
-        except TimeoutError:
-            return ""
+            link = context.wrap_socket(plain, server_hostname=host)
+        except TimeoutError:  # a router without TLS waits for the rest of what it takes for its own
+            return _NO_TLS
         except ssl.SSLCertVerificationError as error:
             return _theirs(error, host, files)
         except ssl.SSLError as error:
             return _ours(error, files)
-        return ""
+        with link:
+            try:
+                link.recv(1)  # only now comes what the router has against our certificate
+            except TimeoutError:
+                return ""
+            except ssl.SSLError as error:
+                return _ours(error, files)
+    return ""
 
 
 def _theirs(error: ssl.SSLCertVerificationError, host: str, files: TlsFiles) -> str:
@@ -95,7 +103,7 @@ def _theirs(error: ssl.SSLCertVerificationError, host: str, files: TlsFiles) -> 
 def _ours(error: ssl.SSLError, files: TlsFiles) -> str:
     reason = error.reason or ""
     if "WRONG_VERSION_NUMBER" in reason:
-        return "the router there speaks no TLS: connect to tcp/…, or start it with its --zenoh-config"
+        return _NO_TLS
     text = next((text for alert, text in _OURS.items() if alert in reason), "")
     return text.format(certificate=files.certificate) if text else f"TLS failed: {reason.lower().replace('_', ' ')}"
 
