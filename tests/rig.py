@@ -128,9 +128,10 @@ class Rig:
     @property
     def bus(self) -> Bus:
         if self._bus is None:
-            session = open_session(
-                SessionConfig(endpoints=(self.stack.endpoint,), shared_memory="off"), threading.Event()
+            config = SessionConfig(
+                endpoints=(self.stack.endpoint,), shared_memory="off", file=self.stack.zenoh_config("operator")
             )
+            session = open_session(config, threading.Event())
             assert session is not None
             self._bus = Bus(session)
             self._truth = self._bus.subscriber(topics.JOINTS_TRUE)

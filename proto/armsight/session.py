@@ -116,6 +116,23 @@ def session_config(
     )
 
 
+def check_role(config: SessionConfig, service: str) -> None:
+    """Whether a configuration of `armsight certs make` is a service's own: with another's it would be heard by nobody.
+
+    Raises:
+        ConfigError: it is another's.
+    """
+    if config.file is None:
+        return
+    metadata = json.loads(_read_file(config.file).get_json("metadata"))
+    role = metadata.get("role") if isinstance(metadata, dict) else None
+    if role not in (None, service):
+        raise ConfigError(
+            f"{config.file} and its certificate are for {role}, this is {service}: the router would let it do what "
+            f"{role} may, and nothing else"
+        )
+
+
 def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session | None:
     """Opens a session, waiting for the router as long as it takes; returns nothing once ``stop`` is set.
 

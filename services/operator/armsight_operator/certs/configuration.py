@@ -32,10 +32,12 @@ def router_configuration(listen: Sequence[str], roles: Mapping[str, str], namesp
     }
 
 
-def client_configuration(connect: Sequence[str], namespace: str) -> dict[str, Any]:
+def client_configuration(role: str, connect: Sequence[str], namespace: str) -> dict[str, Any]:
     """A service's or a person's: connects with its own certificate, to a router whose name and certificate fit."""
     return {
         "mode": "client",
+        # for whoever is given it to see whether it is his: what it lets him do is in the certificate
+        "metadata": {"role": role},
         "connect": {"endpoints": list(connect)},
         "namespace": namespace,
         "transport": {"link": {"tls": _tls(serves=False)}},
@@ -87,5 +89,7 @@ def configurations(
 ) -> dict[str, str]:
     """Everybody's, by name."""
     router = configuration_text(router_configuration(listen, roles, namespaces))
-    client = configuration_text(client_configuration(connect, namespaces[0]))
-    return {name: router if role == ROUTER else client for name, role in roles.items()}
+    return {
+        name: router if role == ROUTER else configuration_text(client_configuration(role, connect, namespaces[0]))
+        for name, role in roles.items()
+    }
