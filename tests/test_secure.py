@@ -1,5 +1,8 @@
 """The whole stack with certificates and rights: it works, and goes on when certificates are renewed."""
 
+import shlex
+import subprocess
+import sys
 import time
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -16,6 +19,7 @@ from armsight_operator.certs.folder import CONFIGURATION, ROUTER, Folder
 from armsight_operator.stack import free_port
 from rig import SERVICES, Rig
 
+ROOT = Path(__file__).parents[1]
 BEARERS = {name: name for name in (ROUTER, *SERVICES, "operator")}
 
 
@@ -58,6 +62,27 @@ def test_arm_follows_its_target_and_obeys(secure: Rig) -> None:
     secure.wait_until(secure.moving, 20, "the arm moves again")
     secure.mode("joints", (0.3, 0.0, 0.4, 0.2))
     secure.wait_until(lambda: abs(secure.true_joints() - (0.3, 0.0, 0.4, 0.2)).max() < 0.005, 15, "the goal is reached")
+
+
+def test_commands_of_the_documentation_run_the_stack(tmp_path: Path, port: int) -> None:
+    text = (ROOT / "docs/security.md").read_text(encoding="utf-8")
+    block = text.split("## Make certificates", 1)[1].split("```sh\n", 1)[1].split("```", 1)[0]
+    make, up, status = (shlex.split(line.split("#")[0])[1:] for line in block.splitlines())
+    armsight = Path(sys.executable).parent / "armsight"
+    at = ["--listen", f"tls/127.0.0.1:{port}", "--connect", f"tls/localhost:{port}"]  # 7447 may be somebody else's
+    subprocess.run([armsight, *make, *at], cwd=tmp_path, check=True, timeout=30)
+    running = subprocess.Popen([armsight, *up, "--port", str(port)], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    assert running.stdout is not None
+    try:
+        assert any(line.startswith("ready after") for line in running.stdout)
+        said = subprocess.run(
+            [armsight, *status], cwd=tmp_path, capture_output=True, text=True, timeout=30, check=False
+        )
+        assert said.returncode == 0, said.stderr
+        assert "track" in said.stdout
+    finally:
+        running.terminate()
+        running.wait(10)
 
 
 def test_renewal_costs_no_more_than_a_restart_of_the_router(secure: Rig, certificates: Folder) -> None:
