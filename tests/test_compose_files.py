@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from armsight_operator.certs.folder import CONFIGURATION, Folder
+from armsight_operator.certs.folder import Folder
+from armsight_operator.certs.layout import CONFIGURATION
 from armsight_operator.cli.app import main
 
 ROOT = Path(__file__).parents[1]

@@ -15,7 +15,8 @@ from armsight import topics
 from armsight.service import EXIT_CONFIG
 from armsight.session import DEFAULT_NAMESPACE
 from armsight_operator.certs.configuration import configurations
-from armsight_operator.certs.folder import CONFIGURATION, ROUTER, Folder
+from armsight_operator.certs.folder import Folder
+from armsight_operator.certs.layout import CONFIGURATION, ROUTER
 from armsight_operator.stack import free_port
 from rig import SERVICES, Rig
 

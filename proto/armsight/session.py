@@ -11,7 +11,7 @@ import re
 import resource
 import sys
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -162,7 +162,7 @@ def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session 
 
 def refusal(config: SessionConfig) -> str:
     """Why the router does not let this session in, where certificates are the reason; empty otherwise."""
-    files = tls_files(zenoh_settings(config))
+    files = tls_files(zenoh_settings(replace(config, shared_memory="off")))
     return next((reason for endpoint in config.endpoints if (reason := why_refused(endpoint, files))), "")
 
 

@@ -10,7 +10,8 @@ from armsight.bus import Bus
 from armsight.session import DEFAULT_NAMESPACE, SessionConfig, open_session
 from armsight.topics import WHO
 from armsight_operator.certs.configuration import configurations
-from armsight_operator.certs.folder import CONFIGURATION, ROUTER, Folder
+from armsight_operator.certs.folder import Folder
+from armsight_operator.certs.layout import CONFIGURATION, ROUTER
 from armsight_operator.stack import free_port
 
 HOST = "127.0.0.1"

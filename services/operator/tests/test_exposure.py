@@ -76,6 +76,14 @@ def test_refusal_is_a_mistake_of_the_command_line(capsys: pytest.CaptureFixture[
     assert capsys.readouterr().err.count("\n") == 1
 
 
+def test_router_says_when_its_certificate_expires_soon(tmp_path: Path) -> None:
+    secure = SecureBus(tmp_path)
+    flags = ["--listen", secure.endpoint, "--zenoh-config", str(secure.file("router"))]
+    assert listens(*flags).startswith("router listens on")
+    secure.folder.renew(["router"], days=10)
+    assert "the certificate of router: expires in 9 days" in listens(*flags)
+
+
 def test_router_with_certificates_listens_anywhere_and_answers_for_its_health(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

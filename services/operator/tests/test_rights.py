@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -137,6 +138,25 @@ def test_late_readers_of_a_latched_topic_get_its_last_value(places: Callable[[st
         assert late[role].recv(TIMEOUT_S) is not None, f"{role}, late, did not get {topic.key}"
     for role in others:
         assert late[role].recv(QUIET_S) is None, f"{role} may not read {topic.key} and did"
+
+
+def test_latched_value_put_while_the_router_is_away_reaches_its_readers(tmp_path: Path) -> None:
+    secure = SecureBus(tmp_path)
+    secure.start_router()
+    try:
+        state = secure.bus("control").subscriber(topics.STOP_STATE)
+        publisher = secure.bus("sim").publisher(topics.STOP_STATE)
+        publisher.put(StopState(stopped=False))
+        assert state.recv(TIMEOUT_S) is not None
+        secure.stop_router()
+        publisher.put(StopState(stopped=True))
+        assert state.recv(QUIET_S) is None
+        secure.start_router()
+        received = state.recv(TIMEOUT_S)
+        assert received is not None, "what was said meanwhile is lost: the publisher's return was not noticed"
+        assert received.message.stopped
+    finally:
+        secure.close()
 
 
 @pytest.mark.parametrize("query", QUERIES, ids=lambda query: query.name)

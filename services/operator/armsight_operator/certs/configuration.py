@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from armsight.topics import WHO
-from armsight_operator.certs.folder import CA_COPY, CERTIFICATE, KEY, ROUTER
+from armsight_operator.certs.layout import CA_COPY, CERTIFICATE, KEY, ROUTER
 from armsight_operator.certs.rights import rights
 
 _HEAD = """// Made by `armsight certs make`, which writes it again whenever it runs. Paths are relative to this file.

@@ -18,19 +18,18 @@ from pathlib import Path
 from typing import Literal
 
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from armsight.topics import WHO
 from armsight_operator.certs import authority
 from armsight_operator.certs.authority import Signed
+from armsight_operator.certs.layout import CA_COPY, CERTIFICATE, CONFIGURATION, KEY, ROUTER
 from armsight_operator.errors import CertificateError
 
-ROUTER = "router"
 ROLES = (ROUTER, *WHO)
 """What a bearer may be: the router, or one of those to whom the contract's table gives rights."""
-
-KEY, CERTIFICATE, CA_COPY, CONFIGURATION = "key.pem", "certificate.pem", "ca.pem", "zenoh.json5"
 
 EXPIRES_SOON = timedelta(days=14)
 
@@ -215,7 +214,7 @@ def _entry(folder: Path, signer: x509.Certificate, now: datetime) -> Entry:
 def _trouble(folder: Path, certificate: x509.Certificate, signer: x509.Certificate) -> str:
     try:
         certificate.verify_directly_issued_by(signer)
-    except Exception:
+    except (InvalidSignature, TypeError, ValueError):
         return "not signed by this CA"
     key = folder / KEY
     if not os.access(key, os.R_OK):

@@ -72,13 +72,14 @@ def make(
     from armsight.session import DEFAULT_NAMESPACE, SessionConfig
     from armsight_operator.certs import folder as certificates
     from armsight_operator.certs.configuration import configurations
+    from armsight_operator.certs.layout import CONFIGURATION, ROUTER
 
     namespaces = namespace or [DEFAULT_NAMESPACE]
     for robot in namespaces:
         SessionConfig(endpoints=(listen, connect), namespace=robot)  # refuses what is none
     if wrong := [endpoint for endpoint in (listen, connect) if not endpoint.startswith(("tls/", "quic/"))]:
         raise ConfigError(f"endpoint {wrong[0]!r} has no certificates: it is tls/HOST:PORT")
-    bearers = {certificates.ROUTER: certificates.ROUTER}
+    bearers = {ROUTER: ROUTER}
     bearers |= {role: role for role in ("sim", "vision", "control", "operator")}
     bearers |= dict(_name_and_role(text) for text in name or ())
     files = certificates.Folder(folder)
@@ -88,9 +89,9 @@ def make(
         files.write_configuration(bearer, text)
     for bearer, what in done.items():
         print(f"{bearer}: {what}")
-    configuration = folder / "NAME" / certificates.CONFIGURATION
+    configuration = folder / "NAME" / CONFIGURATION
     print(f"everybody's configuration is {configuration}, for {', '.join(namespaces)} at {connect}")
-    if done[certificates.ROUTER] == "kept":
+    if done[ROUTER] == "kept":
         print("a router that runs takes new rules when it starts again")
         if host:
             print(f"its certificate was kept: `armsight certs renew router --host {host[0]}` adds a host")
@@ -109,11 +110,12 @@ def renew(
     Services take theirs when they next connect, the router when it starts again: restart it before its old one expires.
     """
     from armsight_operator.certs import folder as certificates
+    from armsight_operator.certs.layout import ROUTER
 
     expires = certificates.Folder(folder).renew(names or (), days, tuple(host or ()), new_keys=new_keys)
     for bearer, until in expires.items():
         print(f"{bearer}: until {until:%Y-%m-%d}")
-    if certificates.ROUTER in expires:
+    if ROUTER in expires:
         print("now start the router again: everybody reconnects, with the new certificates, within a second")
 
 

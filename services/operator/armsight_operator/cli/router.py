@@ -1,6 +1,7 @@
 """`armsight router`: the router of the bus in a process of its own."""
 
 import json
+import logging
 import signal
 import threading
 from dataclasses import replace
@@ -13,6 +14,8 @@ from armsight_operator.cli.options import ZenohConfig
 
 if TYPE_CHECKING:
     from armsight.session import SessionConfig
+
+log = logging.getLogger(__name__)
 
 _PROBE_S = 2.0
 
@@ -57,9 +60,12 @@ def router(
 def _run(config: "SessionConfig") -> None:
     from armsight.logs import set_up_logging
     from armsight.session import open_session
+    from armsight_operator.certs.layout import CERTIFICATE
     from armsight_operator.exposure import is_local
 
     set_up_logging("router", "warning")
+    if config.file is not None and (config.file.parent / CERTIFICATE).exists():
+        _warn_of_certificates(config.file.parent)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
@@ -70,6 +76,14 @@ def _run(config: "SessionConfig") -> None:
         who = "this machine only" if all(map(is_local, config.endpoints)) else "other machines, too"
         print(f"router listens on {', '.join(config.endpoints)} ({who})", flush=True)
         stop.wait()
+
+
+def _warn_of_certificates(folder: Path) -> None:
+    from armsight_operator.certs.folder import Folder
+
+    for entry in Folder(folder).entries():
+        if entry.trouble:
+            log.warning("the certificate of %s: %s", entry.name, entry.trouble)
 
 
 def _probe(config: "SessionConfig") -> None:

@@ -51,7 +51,10 @@ def up(
     extra = {"target": target, "clock": clock, "samples": samples, "mode": mode}
     with Stack(out=out, port=port, namespace=namespace, certificates=certificates, **extra) as stack:  # type: ignore[arg-type]
         stack.start_all()
-        print(f"armsight starts on {stack.endpoint}; logs in {stack.log_folder}; Ctrl-C stops it", flush=True)
+        print(
+            f"armsight starts on {stack.endpoint} (this machine only); logs in {stack.log_folder}; Ctrl-C stops it",
+            flush=True,
+        )
         _watch(stack, Supervisor(stack, restart=restart), stop, began, out / "view.png")
 
 

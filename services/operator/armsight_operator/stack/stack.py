@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from armsight.session import DEFAULT_NAMESPACE
+from armsight_operator.certs.layout import CONFIGURATION
 from armsight_operator.errors import OperatorError, PortInUseError
 from armsight_operator.stack.executables import find_executable
 from armsight_operator.stack.process import Process
@@ -104,7 +105,7 @@ class Stack:
         """
         if self._certificates is None:
             return None
-        file = self._certificates.absolute() / bearer / "zenoh.json5"
+        file = self._certificates.absolute() / bearer / CONFIGURATION
         if not file.is_file():
             raise OperatorError(f"no certificate of {bearer} in {self._certificates}: `armsight certs make` makes it")
         return file
