@@ -172,7 +172,7 @@ class Rig:
         self.bus.query(topics.STOP, StopRequest(action=STOP_ACTION_STOP, source=source, reason="test"))
 
     def release_arm(self, source: str) -> None:
-        self.bus.query(topics.STOP, StopRequest(action=STOP_ACTION_RELEASE, source=source))
+        self.bus.query(topics.RELEASE, StopRequest(action=STOP_ACTION_RELEASE, source=source))
 
     def put_command(self, positions: dict[str, float], age_s: float = 0.0) -> None:
         truth = self._next_truth()

@@ -85,17 +85,17 @@ def test_vision_does_what_the_table_says() -> None:
 
 def test_operator_does_nothing_that_the_table_denies() -> None:
     found, allowed = uses_in_python(ROOT / "services/operator/armsight_operator"), uses_in_table("operator")
-    assert {"mode", "stop", "reset"} <= found["query"]
+    assert {"mode", "stop", "release", "reset"} <= found["query"]
     assert {kind: rows - allowed[kind] for kind, rows in found.items() if rows - allowed[kind]} == {}
     # `armsight topics echo KEY` takes any
     assert allowed["subscriber"] == {topic.name for topic in TOPICS}
 
 
-def test_viewer_reads_what_operator_reads_and_changes_nothing() -> None:
+def test_viewer_reads_what_operator_reads_and_changes_nothing_but_a_stop() -> None:
     viewer, operator = uses_in_table("viewer"), uses_in_table("operator")
     assert viewer["subscriber"] == operator["subscriber"]
     assert viewer["publisher"] == viewer["serve"] == set()
-    assert viewer["query"] == operator["query"] - {"stop", "reset", "mode"}
+    assert viewer["query"] == operator["query"] - {"release", "reset", "mode"}
 
 
 @pytest.mark.parametrize("row", [*TOPICS, *QUERIES], ids=lambda row: row.name)

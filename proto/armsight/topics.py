@@ -190,6 +190,7 @@ TOPICS: tuple[Topic[Any], ...] = (
 )
 
 STOP = _query("stop", StopRequest, StopResponse)
+RELEASE = _query("release", StopRequest, StopResponse)
 RESET = _query("reset", ResetRequest, ResetResponse)
 SOLVE_IK = _query("solve_ik", SolveIkRequest, SolveIkResponse)
 FORWARD_KINEMATICS = _query("forward_kinematics", ForwardKinematicsRequest, ForwardKinematicsResponse)
@@ -197,4 +198,4 @@ MODE = _query("mode", SetModeRequest, SetModeResponse)
 PARAMETERS = _query("parameters", Empty, ParametersResponse)
 SCHEMA = _query("schema", Empty, FileDescriptorSet)
 
-QUERIES: tuple[Query[Any, Any], ...] = (STOP, RESET, SOLVE_IK, FORWARD_KINEMATICS, MODE, PARAMETERS, SCHEMA)
+QUERIES: tuple[Query[Any, Any], ...] = (STOP, RELEASE, RESET, SOLVE_IK, FORWARD_KINEMATICS, MODE, PARAMETERS, SCHEMA)

@@ -269,20 +269,24 @@ def test_vision_cannot_command_the_arm_and_control_can(places: Callable[[str], B
     assert commands.recv(TIMEOUT_S) is not None
 
 
-def test_viewer_cannot_release_a_stop_and_operator_can(places: Callable[[str], Bus]) -> None:
-    stopped = {"by": True}
+def test_viewer_may_stop_and_not_release_and_operator_both(places: Callable[[str], Bus]) -> None:
+    stopped = {"by": False}
 
     def serve(request: StopRequest) -> StopResponse:
         stopped["by"] = request.action != STOP_ACTION_RELEASE
         return StopResponse(state=StopState(stopped=stopped["by"]))
 
-    places("sim").serve(topics.STOP, serve)
+    sim = places("sim")
+    sim.serve(topics.STOP, serve)
+    sim.serve(topics.RELEASE, serve)
     time.sleep(QUIET_S)
+    places("viewer").query(topics.STOP, StopRequest(action=STOP_ACTION_STOP, source="me"))
+    assert stopped["by"]
     release = StopRequest(action=STOP_ACTION_RELEASE, source="me")
     with pytest.raises(NoReplyError, match="may we ask"):
-        places("viewer").query(topics.STOP, release, timeout_s=0.5)
+        places("viewer").query(topics.RELEASE, release, timeout_s=0.5)
     assert stopped["by"]
-    places("operator").query(topics.STOP, release)
+    places("operator").query(topics.RELEASE, release)
     assert not stopped["by"]
 
 

@@ -63,7 +63,6 @@ def _of_topic(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
         if latched:
             yield "ingress", "declare_liveliness_subscriber", f"{key}/{_OF_LATCHED}"
             yield "egress", "liveliness_token", f"{key}/{_OF_LATCHED}"
-            yield "egress", "declare_queryable", f"{key}/{_OF_LATCHED}"
             yield "ingress", "query", f"{key}/{_ASKED_OF_LATCHED}"
             yield "egress", "reply", key
     if _is_one_of(role, topic.watchers):
@@ -81,7 +80,6 @@ def _of_query(role: str, query: Query[Any, Any]) -> Iterator[tuple[Flow, str, st
     if _is_one_of(role, query.callers):
         key = _key(role, query.key, query.callers)
         yield "ingress", "query", key
-        yield "egress", "declare_queryable", key
         yield "egress", "reply", key
 
 
