@@ -4,6 +4,7 @@ import json
 import logging
 import signal
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armsight_operator.cli.options import ZenohConfig
+from armsight_operator.errors import CertificateError
 
 if TYPE_CHECKING:
     from armsight.session import SessionConfig
@@ -81,9 +83,10 @@ def _run(config: "SessionConfig") -> None:
 def _warn_of_certificates(folder: Path) -> None:
     from armsight_operator.certs.folder import Folder
 
-    for entry in Folder(folder).entries():
-        if entry.trouble:
-            log.warning("the certificate of %s: %s", entry.name, entry.trouble)
+    with suppress(CertificateError):  # not of our making: Zenoh may well take it
+        for entry in Folder(folder).entries():
+            if entry.trouble:
+                log.warning("the certificate of %s: %s", entry.name, entry.trouble)
 
 
 def _probe(config: "SessionConfig") -> None:
