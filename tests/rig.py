@@ -128,9 +128,10 @@ class Rig:
     @property
     def bus(self) -> Bus:
         if self._bus is None:
-            session = open_session(
-                SessionConfig(endpoints=(self.stack.endpoint,), shared_memory="off"), threading.Event()
+            config = SessionConfig(
+                endpoints=(self.stack.endpoint,), shared_memory="off", file=self.stack.zenoh_config("operator")
             )
+            session = open_session(config, threading.Event())
             assert session is not None
             self._bus = Bus(session)
             self._truth = self._bus.subscriber(topics.JOINTS_TRUE)
@@ -171,7 +172,7 @@ class Rig:
         self.bus.query(topics.STOP, StopRequest(action=STOP_ACTION_STOP, source=source, reason="test"))
 
     def release_arm(self, source: str) -> None:
-        self.bus.query(topics.STOP, StopRequest(action=STOP_ACTION_RELEASE, source=source))
+        self.bus.query(topics.RELEASE, StopRequest(action=STOP_ACTION_RELEASE, source=source))
 
     def put_command(self, positions: dict[str, float], age_s: float = 0.0) -> None:
         truth = self._next_truth()

@@ -342,7 +342,10 @@ class Bus:
                 text = reply.err.payload.to_bytes().decode(errors="replace")
                 if text != "Timeout":
                     raise RefusedError(text)
-        raise NoReplyError(f"nobody answers {key} within {timeout_s:g} s: is {name or query.server} running?")
+        raise NoReplyError(
+            f"nobody answers {key} within {timeout_s:g} s: is {name or query.server} running, and may we ask it? "
+            "(a router with certificates lets nobody ask without the right)"
+        )
 
     def _answer(self, query: Query[Request, Response], handler: Callable[[Request], Response], asked: Any) -> None:
         payload = asked.payload.to_bytes() if asked.payload is not None else b""

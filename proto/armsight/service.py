@@ -18,7 +18,7 @@ from armsight.bus import Bus, open_bus
 from armsight.counters import Counters
 from armsight.errors import ArmsightError, NoReplyError, SessionClosedError
 from armsight.logs import set_up_logging
-from armsight.session import add_session_arguments, open_session, session_config
+from armsight.session import add_session_arguments, check_role, open_session, session_config
 from armsight.times import to_timestamp, wall_ns
 from armsight.topics import HEALTH, PARAMETERS
 from armsight.v1.health_pb2 import HEALTH_STATUS_WAITING, Health, HealthStatus
@@ -142,7 +142,9 @@ def run_service(
     signal.signal(signal.SIGTERM, ask_to_stop)
     signal.signal(signal.SIGINT, ask_to_stop)
     try:
-        session = open_session(session_config(arguments, shared_memory), stop)
+        config = session_config(arguments, shared_memory)
+        check_role(config, name)
+        session = open_session(config, stop)
         if session is None:
             return 0
         with open_bus(session, Counters()) as bus:

@@ -11,13 +11,14 @@ import re
 import resource
 import sys
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import zenoh
 
 from armsight.errors import ConfigError
+from armsight.tls import tls_files, why_refused
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +37,15 @@ _DATA_LOW_QUEUE = 16
 
 _HINT_AFTER_ATTEMPTS = 4
 
+_TLS = "transport/link/tls"
+_TLS_FILES = (
+    "root_ca_certificate",
+    "listen_certificate",
+    "listen_private_key",
+    "connect_certificate",
+    "connect_private_key",
+)
+
 _WITH_PORT = ("tcp", "udp", "tls", "quic", "ws")
 """Protocols whose address is a host and a port; what others want only Zenoh knows."""
 
@@ -52,7 +62,7 @@ class SessionConfig:
     shared_memory: Literal["off", "read", "publish"] = "read"
     """``publish`` makes a pool: sim alone."""
     file: Path | None = None
-    """Zenoh configuration (JSON5) to start from, for TLS and access control."""
+    """Zenoh configuration (JSON5) to start from, for TLS and access control; TLS files are named relative to it."""
 
     def __post_init__(self) -> None:
         """Refuses what Zenoh would refuse later and less clearly."""
@@ -106,6 +116,23 @@ def session_config(
     )
 
 
+def check_role(config: SessionConfig, service: str) -> None:
+    """Whether a configuration of `armsight certs make` is a service's own: with another's it would be heard by nobody.
+
+    Raises:
+        ConfigError: it is another's.
+    """
+    if config.file is None:
+        return
+    metadata = json.loads(_read_file(config.file).get_json("metadata"))
+    role = metadata.get("role") if isinstance(metadata, dict) else None
+    if role not in (None, service):
+        raise ConfigError(
+            f"{config.file} and its certificate are for {role}, this is {service}: the router would let it do what "
+            f"{role} may, and nothing else"
+        )
+
+
 def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session | None:
     """Opens a session, waiting for the router as long as it takes; returns nothing once ``stop`` is set.
 
@@ -124,13 +151,19 @@ def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session 
                 raise ConfigError(f"can't listen on {', '.join(config.endpoints)}: {_reason(error)}") from error
             if attempt % 20 == _HINT_AFTER_ATTEMPTS:
                 log.warning(
-                    "no router at %s yet, still trying: start one with `armsight up` or `armsight router`; with TLS or "
-                    "a password, check the certificates too",
+                    "no router at %s yet, still trying: %s",
                     ", ".join(config.endpoints),
+                    refusal(config) or "start one with `armsight up` or `armsight router`; with a password, check it",
                     extra={"error": str(error)},
                 )
         stop.wait(0.1)
     return None
+
+
+def refusal(config: SessionConfig) -> str:
+    """Why the router does not let this session in, where certificates are the reason; empty otherwise."""
+    files = tls_files(zenoh_settings(replace(config, shared_memory="off")))
+    return next((reason for endpoint in config.endpoints if (reason := why_refused(endpoint, files))), "")
 
 
 def zenoh_settings(config: SessionConfig) -> zenoh.Config:
@@ -209,9 +242,18 @@ def _has_capability(number: int) -> bool:
 
 def _read_file(file: Path) -> zenoh.Config:
     try:
-        return zenoh.Config.from_file(str(file))
+        settings = zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:
         raise ConfigError(f"{file} is not a Zenoh configuration: {_reason(error)}") from error
+    for name in _TLS_FILES:
+        named = json.loads(settings.get_json(f"{_TLS}/{name}"))
+        if not named:
+            continue
+        path = file.parent.absolute() / named
+        if not os.access(path, os.R_OK):  # Zenoh would try again for ever
+            raise ConfigError(f"{file}: {name} {path} is missing or can't be read by this user")
+        settings.insert_json5(f"{_TLS}/{name}", json.dumps(str(path)))
+    return settings
 
 
 def _endpoints_in(config: zenoh.Config, file: Path | None) -> list[str]:

@@ -37,6 +37,12 @@ Response = TypeVar("Response", bound=Message)
 
 Delivery = Literal["latched", "drop", "block"]
 
+SERVICES = ("sim", "vision", "control")
+"""The services of the loop, in the order in which data pass them: what the table calls "each"."""
+
+WHO = (*SERVICES, "operator", "viewer")
+"""Everybody to whom the table gives rights."""
+
 
 @dataclass(frozen=True, slots=True)
 class Topic(Generic[M]):
@@ -45,11 +51,14 @@ class Topic(Generic[M]):
     name: str
     key: str
     message: type[M]
-    publisher: str
+    publishers: tuple[str, ...]
+    readers: tuple[str, ...]
     delivery: Delivery
     priority: str
     ring: int
     express: bool = False
+    watchers: tuple[str, ...] = ()
+    """Of the liveliness token that each publisher holds on the same key; none: there is no token."""
 
     def key_for(self, name: str | None = None) -> str:
         """The key with ``{name}`` filled in (``*`` for all of them)."""
@@ -69,6 +78,7 @@ class Query(Generic[Request, Response]):
     request: type[Request]
     response: type[Response]
     server: str
+    callers: tuple[str, ...]
 
     def key_for(self, name: str | None = None) -> str:
         """The key with ``{name}`` filled in."""
@@ -96,15 +106,38 @@ def _load_table() -> dict[str, dict[str, dict[str, Any]]]:
     return {kind: {row["name"]: row for row in table[kind]} for kind in ("topic", "query")}
 
 
+def _who(row: dict[str, Any], column: str) -> tuple[str, ...]:
+    value = row.get(column)
+    names = (value,) if isinstance(value, str) else tuple(value or ())
+    if unknown := set(names) - {*WHO, "each"}:
+        raise ValueError(
+            f"topics.toml: {column} of {row['name']} is {sorted(unknown)}, not of {', '.join(WHO)} or each"
+        )
+    if "each" in names and "{name}" not in row["key"]:
+        raise ValueError(f"topics.toml: {column} of {row['name']} is each, but its key has no {{name}}")
+    return names
+
+
 _TABLE = _load_table()
 
 
 def _topic(name: str, message: type[M]) -> Topic[M]:
-    row = {key: value for key, value in _TABLE["topic"][name].items() if key != "message"}
-    declared = _TABLE["topic"][name]["message"]
+    row = _TABLE["topic"][name]
+    declared = row["message"]
     if declared != message.DESCRIPTOR.full_name:
         raise ValueError(f"topics.toml gives {name} the message {declared}, the code {message.DESCRIPTOR.full_name}")
-    return Topic(message=message, **row)
+    return Topic(
+        name=name,
+        key=row["key"],
+        message=message,
+        publishers=_who(row, "publisher"),
+        readers=_who(row, "readers"),
+        delivery=row["delivery"],
+        priority=row["priority"],
+        ring=row["ring"],
+        express=row.get("express", False),
+        watchers=_who(row, "watchers"),
+    )
 
 
 def _query(name: str, request: type[Request], response: type[Response]) -> Query[Request, Response]:
@@ -112,7 +145,14 @@ def _query(name: str, request: type[Request], response: type[Response]) -> Query
     declared = (row["request"] or "google.protobuf.Empty", row["response"])
     if declared != (request.DESCRIPTOR.full_name, response.DESCRIPTOR.full_name):
         raise ValueError(f"topics.toml gives {name} the messages {declared}, the code others")
-    return Query(name=name, key=row["key"], request=request, response=response, server=row["server"])
+    return Query(
+        name=name,
+        key=row["key"],
+        request=request,
+        response=response,
+        server=row["server"],
+        callers=_who(row, "callers"),
+    )
 
 
 DESCRIPTION = _topic("description", ArmDescription)
@@ -150,9 +190,12 @@ TOPICS: tuple[Topic[Any], ...] = (
 )
 
 STOP = _query("stop", StopRequest, StopResponse)
+RELEASE = _query("release", StopRequest, StopResponse)
 RESET = _query("reset", ResetRequest, ResetResponse)
 SOLVE_IK = _query("solve_ik", SolveIkRequest, SolveIkResponse)
 FORWARD_KINEMATICS = _query("forward_kinematics", ForwardKinematicsRequest, ForwardKinematicsResponse)
 MODE = _query("mode", SetModeRequest, SetModeResponse)
 PARAMETERS = _query("parameters", Empty, ParametersResponse)
 SCHEMA = _query("schema", Empty, FileDescriptorSet)
+
+QUERIES: tuple[Query[Any, Any], ...] = (STOP, RELEASE, RESET, SOLVE_IK, FORWARD_KINEMATICS, MODE, PARAMETERS, SCHEMA)

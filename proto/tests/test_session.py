@@ -17,6 +17,7 @@ from armsight.session import (
     DEFAULT_NAMESPACE,
     SessionConfig,
     add_session_arguments,
+    check_role,
     open_session,
     session_config,
     zenoh_settings,
@@ -111,6 +112,25 @@ def test_unreadable_configuration_file_says_which(tmp_path: Path) -> None:
     broken.write_text("{ mode: ")
     with pytest.raises(ConfigError, match=r"broken\.json5"):
         zenoh_settings(SessionConfig(file=broken))
+
+
+def test_files_of_tls_are_named_relative_to_the_configuration_and_must_be_there(file: Path) -> None:
+    file.write_text('{ transport: { link: { tls: { root_ca_certificate: "ca.pem" } } } }')
+    with pytest.raises(ConfigError, match=r"root_ca_certificate .*ca\.pem is missing or can't be read"):
+        zenoh_settings(SessionConfig(file=file))
+    (file.parent / "ca.pem").touch()
+    settings = zenoh_settings(SessionConfig(file=file))
+    assert json.loads(settings.get_json("transport/link/tls/root_ca_certificate")) == str(file.parent / "ca.pem")
+
+
+def test_configuration_of_another_service_is_refused(file: Path) -> None:
+    config = SessionConfig(file=file)
+    for metadata in ("{}", '{ metadata: { role: "sim" } }', '{ metadata: { name: "strawberry" } }'):
+        file.write_text(metadata)
+        check_role(config, "sim")
+    file.write_text('{ metadata: { role: "vision" } }')
+    with pytest.raises(ConfigError, match="for vision, this is sim"):
+        check_role(config, "sim")
 
 
 def test_shared_memory_is_left_out_where_too_little_may_be_locked() -> None:

@@ -1,6 +1,6 @@
 """Errors of the operator's side: one clear line each, exit code 1."""
 
-from armsight.errors import ArmsightError
+from armsight.errors import ArmsightError, ConfigError
 
 
 class OperatorError(ArmsightError):
@@ -21,3 +21,11 @@ class NoRouterError(OperatorError):
 
 class NoDataError(OperatorError):
     """Nothing was published in time."""
+
+
+class CertificateError(OperatorError):
+    """A key or certificate that is missing, in the way, or can't be used."""
+
+
+class InsecureBindError(OperatorError, ConfigError):
+    """A router would listen where anybody reaches it."""

@@ -77,6 +77,7 @@ class FakeArm:
         bus.serve(topics.MODE, self._set_mode)
         bus.serve(topics.RESET, self._reset)
         bus.serve(topics.STOP, self._set_stop)
+        bus.serve(topics.RELEASE, self._set_stop)
 
     def wait_for_listeners(self) -> None:
         """Until somebody hears of health and status: what is said before is lost."""

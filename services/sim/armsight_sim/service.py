@@ -20,9 +20,10 @@ from armsight.images import encode_rgb8
 from armsight.schema import descriptor_set
 from armsight.service import Context
 from armsight.times import from_timestamp, to_duration, to_timestamp, wall_ns
+from armsight.topics import Query
 from armsight.v1.health_pb2 import HEALTH_STATUS_DEGRADED, HEALTH_STATUS_OK, HEALTH_STATUS_WAITING
 from armsight.v1.joints_pb2 import JointCommand
-from armsight.v1.safety_pb2 import StopRequest, StopResponse
+from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, StopRequest, StopResponse
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP, CLOCK_MODE_REALTIME, Clock, ResetRequest, ResetResponse
 from armsight_sim import description
 from armsight_sim.cameras import Cameras, Noise
@@ -31,7 +32,7 @@ from armsight_sim.commands import Verdict
 from armsight_sim.errors import SimError
 from armsight_sim.motion import Motion
 from armsight_sim.settings import Settings
-from armsight_sim.stop import StopSources
+from armsight_sim.stop import StopRequestError, StopSources
 from armsight_sim.targets import TARGETS, visible_box
 from armsight_sim.world import World, load_model, longer_links
 
@@ -93,7 +94,8 @@ class Simulation:
             on_message=lambda received: self._events.put(lambda: self._command(received.message)),
         )
         bus.serve(topics.RESET, lambda request: self._ask(lambda: self._reset(request)))
-        bus.serve(topics.STOP, lambda request: self._ask(lambda: self._stop(request)))
+        bus.serve(topics.STOP, lambda request: self._ask(lambda: self._stop(request, topics.STOP)))
+        bus.serve(topics.RELEASE, lambda request: self._ask(lambda: self._stop(request, topics.RELEASE)))
         bus.serve(topics.SCHEMA, lambda _: descriptor_set())
         bus.presence(self._presence)
 
@@ -247,7 +249,10 @@ class Simulation:
         self._publish_accepted(first_ns)
         return ResetResponse(capture_time=to_timestamp(first_ns))
 
-    def _stop(self, request: StopRequest) -> StopResponse:
+    def _stop(self, request: StopRequest, asked: Query[StopRequest, StopResponse]) -> StopResponse:
+        # on keys of their own, so that a router can tell who may stop from who may release
+        if (request.action == STOP_ACTION_RELEASE) != (asked is topics.RELEASE):
+            raise StopRequestError(f"RELEASE is asked on {topics.RELEASE.key}, all else on {topics.STOP.key}")
         if self._stops.handle(request, time.monotonic(), wall_ns()):
             self._stop_changed()
         return StopResponse(state=self._stops.message())

@@ -136,7 +136,13 @@ def test_stopped_arm_refuses_motion_until_released(bus: Bus, sim: Callable[..., 
     assert abs(push(0.7)) < 1e-9
     health.clear()
     assert taken(health).counters["command_refused_stopped"] > 5
-    bus.query(topics.STOP, StopRequest(action=STOP_ACTION_RELEASE, source="test"))
+    # releasing has a key of its own, for rights of its own
+    with pytest.raises(RefusedError, match="RELEASE is asked on safety/release"):
+        bus.query(topics.STOP, StopRequest(action=STOP_ACTION_RELEASE, source="test"))
+    with pytest.raises(RefusedError, match="all else on safety/stop"):
+        bus.query(topics.RELEASE, StopRequest(action=STOP_ACTION_STOP, source="test"))
+    assert abs(push(0.3)) < 1e-9
+    bus.query(topics.RELEASE, StopRequest(action=STOP_ACTION_RELEASE, source="test"))
     assert push(1.0) > 0.2
 
 

@@ -6,6 +6,7 @@
 
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <fstream>
 
 #include "service/session_config.hpp"
@@ -156,6 +157,25 @@ TEST_F(ConfigurationFile, MayHoldAListOfEndpointsForEachMode) {
     write("{ connect: { endpoints: { router: ['tcp/r:1'], client: ['tcp/c:2'] } } }");
     EXPECT_EQ(config().get_json("connect/endpoints"), "[\"tcp/c:2\"]");
     write("{ connect: { endpoints: ['tcp/c:99999'] } }");
+    EXPECT_THROW((void)config(), ConfigError);
+}
+
+TEST_F(ConfigurationFile, FilesOfTlsAreNamedRelativeToItAndMustBeThere) {
+    const auto ca = std::filesystem::absolute(path).parent_path() / "settings_test_ca.pem";
+    write("{ transport: { link: { tls: { root_ca_certificate: 'settings_test_ca.pem' } } } }");
+    std::filesystem::remove(ca);
+    EXPECT_THROW((void)config(), ConfigError);
+    std::ofstream(ca) << "CA";
+    EXPECT_EQ(config().get_json("transport/link/tls/root_ca_certificate"), '"' + ca.string() + '"');
+    std::filesystem::remove(ca);
+}
+
+TEST_F(ConfigurationFile, OfAnotherServiceIsRefused) {
+    write("{ metadata: { role: 'vision' } }");
+    EXPECT_NO_THROW((void)config());
+    write("{ metadata: { name: 'strawberry' } }");
+    EXPECT_NO_THROW((void)config());
+    write("{ metadata: { role: 'sim' } }");
     EXPECT_THROW((void)config(), ConfigError);
 }
 

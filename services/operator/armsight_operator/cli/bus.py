@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from armsight.bus import Bus, open_bus
-from armsight.session import SessionConfig, open_session, session_config
+from armsight.session import SessionConfig, open_session, refusal, session_config
 from armsight_operator.errors import NoRouterError
 
 ROUTER_TIMEOUT_S = 3.0
@@ -49,10 +49,8 @@ def connected(config: SessionConfig, timeout_s: float = ROUTER_TIMEOUT_S) -> Ite
     finally:
         timer.cancel()
     if session is None:
-        raise NoRouterError(
-            f"no router answers at {', '.join(config.endpoints)}: start the stack with `armsight up`, "
-            "or say where it is with --connect"
-        )
+        reason = refusal(config) or "start the stack with `armsight up`, or say where it is with --connect"
+        raise NoRouterError(f"no router answers at {', '.join(config.endpoints)}: {reason}")
     with open_bus(session) as bus:
         yield bus
 

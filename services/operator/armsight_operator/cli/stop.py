@@ -43,7 +43,7 @@ def release(
 
     name = source or _default_source()
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
-        answer = bus.query(topics.STOP, StopRequest(action=STOP_ACTION_RELEASE, source=name))
+        answer = bus.query(topics.RELEASE, StopRequest(action=STOP_ACTION_RELEASE, source=name))
     others = [other.name for other in answer.state.sources if other.stopped]
     print(f"still stopped by {', '.join(others)}: release each with --source" if others else "released")
 

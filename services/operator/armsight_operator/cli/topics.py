@@ -30,7 +30,9 @@ def list_topics() -> None:
 
     table = Table("key", "message", "from", "delivery", "priority", box=None, pad_edge=False)
     for topic in TOPICS:
-        table.add_row(topic.key, topic.message.DESCRIPTOR.full_name, topic.publisher, topic.delivery, topic.priority)
+        table.add_row(
+            topic.key, topic.message.DESCRIPTOR.full_name, ", ".join(topic.publishers), topic.delivery, topic.priority
+        )
     Console(width=None if sys.stdout.isatty() else 160, soft_wrap=True).print(table)
 
 
@@ -54,7 +56,9 @@ def echo(
         while count == 0 or seen < count:
             received = subscriber.recv(_SILENCE_S)
             if received is None:
-                raise NoDataError(f"nothing on {key} for {_SILENCE_S:g} s: does its publisher, {topic.publisher}, run?")
+                raise NoDataError(
+                    f"nothing on {key} for {_SILENCE_S:g} s: does its publisher, {_publisher(topic)}, run?"
+                )
             message = received.message
             for long_field in _LONG_FIELDS:
                 if long_field in message.DESCRIPTOR.fields_by_name:
@@ -83,8 +87,12 @@ def rate(
         time.sleep(seconds)
         subscriber.close()
     if not sizes:
-        raise NoDataError(f"nothing on {key} for {seconds:g} s: does its publisher, {topic.publisher}, run?")
+        raise NoDataError(f"nothing on {key} for {seconds:g} s: does its publisher, {_publisher(topic)}, run?")
     print(f"{len(sizes) / seconds:.1f} Hz, {sum(sizes) / len(sizes) / 1e3:.1f} kB each")
+
+
+def _publisher(topic: "Topic[Any]") -> str:
+    return " or ".join(topic.publishers)
 
 
 def _find(key: str) -> "tuple[Topic[Any], str | None]":

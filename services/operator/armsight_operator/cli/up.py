@@ -31,6 +31,14 @@ def up(
     samples: Annotated[int, typer.Option(help="Samples a pixel: 0 or 4 (smoother, slower).")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for the picture and the logs.")] = Path("armsight-out"),
     namespace: Annotated[str, typer.Option(help="The robot's name.")] = "robots/arm",
+    certificates: Annotated[
+        Path | None,
+        typer.Option(
+            "--certificates",
+            help="Folder of `armsight certs make`: mutual TLS, and for each service only the rights that it needs.",
+            show_default=False,
+        ),
+    ] = None,
     restart: Annotated[bool, typer.Option(help="Start a service again that died.")] = True,
 ) -> None:
     """Run the full stack on this machine: router, sim, vision and control. Ctrl-C stops all of it."""
@@ -41,9 +49,12 @@ def up(
         signal.signal(number, lambda *_: stop.set())
     began = time.monotonic()
     extra = {"target": target, "clock": clock, "samples": samples, "mode": mode}
-    with Stack(out=out, port=port, namespace=namespace, **extra) as stack:  # type: ignore[arg-type]
+    with Stack(out=out, port=port, namespace=namespace, certificates=certificates, **extra) as stack:  # type: ignore[arg-type]
         stack.start_all()
-        print(f"armsight starts on {stack.endpoint}; logs in {stack.log_folder}; Ctrl-C stops it", flush=True)
+        print(
+            f"armsight starts on {stack.endpoint} (this machine only); logs in {stack.log_folder}; Ctrl-C stops it",
+            flush=True,
+        )
         _watch(stack, Supervisor(stack, restart=restart), stop, began, out / "view.png")
 
 
@@ -52,7 +63,12 @@ def _watch(stack: "Stack", supervisor: "Supervisor", stop: threading.Event, bega
     from armsight_operator.cli.bus import wait_connected
     from armsight_operator.monitor import Monitor
 
-    config = SessionConfig(endpoints=(stack.endpoint,), namespace=stack.namespace, shared_memory="off")
+    config = SessionConfig(
+        endpoints=(stack.endpoint,),
+        namespace=stack.namespace,
+        shared_memory="off",
+        file=stack.zenoh_config("operator"),
+    )
     with wait_connected(config, stop) as bus:
         if bus is None:
             return

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from armsight.session import DEFAULT_NAMESPACE
+from armsight_operator.certs.layout import CONFIGURATION
 from armsight_operator.errors import OperatorError, PortInUseError
 from armsight_operator.stack.executables import find_executable
 from armsight_operator.stack.process import Process
@@ -39,6 +40,8 @@ class Stack:
         out: folder for the logs (default: a new temporary one, left to whoever wants to read them).
         port: of the router on the loopback interface; 0 takes a free one.
         namespace: the robot's name on the bus.
+        certificates: folder that `armsight certs make` made: everything goes over mutual TLS, each with its own rights
+            (default: plain TCP, without rights).
         extra: further flags by service.
     """
 
@@ -54,11 +57,13 @@ class Stack:
         out: Path | None = None,
         port: int = 0,
         namespace: str = DEFAULT_NAMESPACE,
+        certificates: Path | None = None,
         extra: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         """Chooses the port and makes the folder."""
         self.port = port or free_port()
         self.namespace = namespace
+        self._certificates = certificates
         out = Path(tempfile.mkdtemp(prefix="armsight-")) if out is None else out
         self.log_folder = out / "logs"
         self._arguments = {
@@ -74,6 +79,9 @@ class Stack:
             self._arguments[_known(name)] += flags
         for name in SERVICES:
             self._arguments[name] += ["--connect", self.endpoint, "--namespace", namespace]
+        for name in NAMES:
+            if file := self.zenoh_config(name):
+                self._arguments[name] += ["--zenoh-config", str(file)]
         self._processes: dict[str, Process] = {}
         # Processes die with the thread that started them: this one ends in close().
         self._starter = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stack")
@@ -87,7 +95,20 @@ class Stack:
     @property
     def endpoint(self) -> str:
         """Where the router listens, for ``--connect``."""
-        return f"tcp/{_HOST}:{self.port}"
+        return f"{'tcp' if self._certificates is None else 'tls'}/{_HOST}:{self.port}"
+
+    def zenoh_config(self, bearer: str) -> Path | None:
+        """The Zenoh configuration of whoever has a certificate; none where the stack needs none.
+
+        Raises:
+            OperatorError: there is none by this name.
+        """
+        if self._certificates is None:
+            return None
+        file = self._certificates.absolute() / bearer / CONFIGURATION
+        if not file.is_file():
+            raise OperatorError(f"no certificate of {bearer} in {self._certificates}: `armsight certs make` makes it")
+        return file
 
     def log_file(self, name: str) -> Path:
         """Everything that a process wrote, over all of its lives."""

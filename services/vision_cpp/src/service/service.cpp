@@ -49,8 +49,8 @@ std::optional<zenoh::Session> open_session(const zenoh::Config& config, const st
         } catch (const zenoh::ZException& error) {
             if (attempt % 20 == kHintAfterAttempts) {
                 log_warning(
-                    "no router yet, still trying: start one with `armsight up` or `armsight router`; with TLS or a "
-                    "password, check the certificates too",
+                    "no router yet, still trying: start one with `armsight up` or `armsight router`; with "
+                    "certificates, `armsight status` with this --zenoh-config says what is wrong with them",
                     {{"endpoints", config.get_json("connect/endpoints")}, {"error", error.what()}});
             }
         }

@@ -1,7 +1,9 @@
 #include "service/session_config.hpp"
 
 #include <sys/resource.h>
+#include <unistd.h>
 
+#include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <regex>
@@ -24,6 +26,30 @@ bool has_capability(unsigned number) {
     return false;
 }
 
+// Files of TLS are named relative to the configuration, which so works wherever its folder is put. With one that is
+// missing Zenoh would try again for ever.
+void find_tls_files(zenoh::Config& config, const std::string& file) {
+    for (const char* name : {"root_ca_certificate", "listen_certificate", "listen_private_key", "connect_certificate",
+                             "connect_private_key"}) {
+        const std::string path = std::string("transport/link/tls/") + name;
+        const json named = json::parse(config.get_json(path));
+        if (!named.is_string() || named.get<std::string>().empty()) continue;
+        const auto found = std::filesystem::absolute(file).parent_path() / named.get<std::string>();
+        if (access(found.c_str(), R_OK) != 0) {
+            throw ConfigError(file + ": " + name + " " + found.string() + " is missing or can't be read by this user");
+        }
+        config.insert_json5(path, json(found.string()).dump());
+    }
+}
+
+// A configuration of `armsight certs make` says whose it is: with another's the router lets nothing of ours pass.
+void check_role(const zenoh::Config& config, const std::string& file) {
+    const json metadata = json::parse(config.get_json("metadata"));
+    if (!metadata.is_object() || !metadata.contains("role") || metadata["role"] == "vision") return;
+    throw ConfigError(file + " and its certificate are for " + metadata["role"].dump() +
+                      ", this is vision: the router would let it do what that may, and nothing else");
+}
+
 // Where in Zenoh's sources it failed helps nobody who set an option.
 std::string reason(const zenoh::ZException& error) {
     return std::regex_replace(std::string(error.what()), std::regex(R"( at \S+\.rs:[0-9]+\.?)"), "");
@@ -44,6 +70,8 @@ zenoh::Config session_config(const Settings& settings, bool shared_memory) {
     try {
         if (!settings.zenoh_config.empty()) {
             config = zenoh::Config::from_file(settings.zenoh_config);
+            check_role(config, settings.zenoh_config);
+            find_tls_files(config, settings.zenoh_config);
             if (connect.empty()) {
                 json endpoints = json::parse(config.get_json("connect/endpoints"));
                 if (endpoints.is_object()) endpoints = endpoints.value("client", json());  // one list for each mode

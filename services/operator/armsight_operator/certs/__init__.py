@@ -1,0 +1,1 @@
+"""Identity and access: a certificate for everybody on the bus, and what each may do there."""

@@ -1,0 +1,96 @@
+"""Who may do what on the bus, derived from the contract's table: what the router's access control enforces.
+
+A right is a flow, a message of Zenoh's and the keys on which it may pass. Flows are the router's: what comes in from a
+session is ``ingress``, what goes out to it ``egress``. What the table doesn't name passes in neither.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Any, Literal
+
+from armsight.topics import QUERIES, SERVICES, TOPICS, Query, Topic
+
+Flow = Literal["ingress", "egress"]
+Right = tuple[Flow, str]
+"""Flow and message."""
+
+_OF_LATCHED = "@adv/pub/**"
+"""Under a latched topic's key: its publishers' tokens and caches (zenoh-ext)."""
+_ASKED_OF_LATCHED = "@adv/**"
+"""Under a latched topic's key: what a late subscriber asks of all caches at once."""
+
+
+def rights(
+    role: str,
+    namespaces: Iterable[str],
+    topics: Iterable[Topic[Any]] = TOPICS,
+    queries: Iterable[Query[Any, Any]] = QUERIES,
+) -> dict[Right, tuple[str, ...]]:
+    """The keys on which each message may pass between the router and sessions of one role.
+
+    Args:
+        role: one of :data:`armsight.topics.WHO`.
+        namespaces: robots that the rights are for.
+        topics: rows of the table.
+        queries: rows of the table.
+    """
+    relative = [right for topic in topics for right in _of_topic(role, topic)]
+    relative += [right for query in queries for right in _of_query(role, query)]
+    keys: dict[Right, set[str]] = {}
+    for namespace in namespaces:
+        for flow, message, key in relative:
+            keys.setdefault((flow, message), set()).add(f"{namespace}/{key}")
+    return {right: tuple(sorted(keys[right])) for right in sorted(keys)}
+
+
+def _of_topic(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
+    latched = topic.delivery == "latched"
+    if _is_one_of(role, topic.publishers):
+        key = _key(role, topic.key, topic.publishers)
+        yield "ingress", "put", key
+        # subscriptions as they were declared, wildcards and all: without hearing of one, a publisher sends nothing
+        yield "egress", "declare_subscriber", _any_name(topic.key)
+        if topic.watchers:
+            yield "ingress", "liveliness_token", key
+        if latched:
+            yield "ingress", "liveliness_token", f"{key}/{_OF_LATCHED}"
+            yield "ingress", "declare_queryable", f"{key}/{_OF_LATCHED}"
+            yield "egress", "query", f"{_any_name(topic.key)}/{_ASKED_OF_LATCHED}"
+            yield "ingress", "reply", key
+    if _is_one_of(role, topic.readers):
+        key = _key(role, topic.key, topic.readers)
+        yield "ingress", "declare_subscriber", key
+        yield "egress", "put", key
+        if latched:
+            yield "ingress", "declare_liveliness_subscriber", f"{key}/{_OF_LATCHED}"
+            yield "egress", "liveliness_token", f"{key}/{_OF_LATCHED}"
+            yield "ingress", "query", f"{key}/{_ASKED_OF_LATCHED}"
+            yield "egress", "reply", key
+    if _is_one_of(role, topic.watchers):
+        key = _key(role, topic.key, topic.watchers)
+        yield "ingress", "declare_liveliness_subscriber", key
+        yield "egress", "liveliness_token", key
+
+
+def _of_query(role: str, query: Query[Any, Any]) -> Iterator[tuple[Flow, str, str]]:
+    if _is_one_of(role, (query.server,)):
+        key = _key(role, query.key, (query.server,))
+        yield "ingress", "declare_queryable", key
+        yield "egress", "query", key
+        yield "ingress", "reply", key
+    if _is_one_of(role, query.callers):
+        key = _key(role, query.key, query.callers)
+        yield "ingress", "query", key
+        yield "egress", "reply", key
+
+
+def _is_one_of(role: str, who: tuple[str, ...]) -> bool:
+    return role in who or ("each" in who and role in SERVICES)
+
+
+def _key(role: str, key: str, who: tuple[str, ...]) -> str:
+    """Somebody who is named may use every name; one of "each" only its own."""
+    return _any_name(key) if role in who else key.replace("{name}", role)
+
+
+def _any_name(key: str) -> str:
+    return key.replace("{name}", "*")

@@ -1,0 +1,61 @@
+"""Who could reach a router that listens at an endpoint, and whether they would have to prove who they are."""
+
+import ipaddress
+import re
+from collections.abc import Sequence
+
+from armsight_operator.errors import InsecureBindError
+
+_WITH_CERTIFICATES = ("tls", "quic")
+_OVER_NETWORK = ("tcp", "udp", "ws", *_WITH_CERTIFICATES)
+
+
+def check_exposure(endpoints: Sequence[str], *, mutual_tls: bool) -> None:
+    """Refuses endpoints at which anybody on the network could command the arm.
+
+    Args:
+        endpoints: where a router is to listen.
+        mutual_tls: whether it lets nobody in without a certificate of its own CA, where it speaks TLS.
+
+    Raises:
+        InsecureBindError: an endpoint that other machines reach without one.
+    """
+    for endpoint in endpoints:
+        if is_local(endpoint) or (mutual_tls and endpoint.partition("/")[0] in _WITH_CERTIFICATES):
+            continue
+        raise InsecureBindError(
+            f"{endpoint} is open to every machine that reaches this one, without certificates: whoever connects moves "
+            "the arm. Listen on 127.0.0.1, or with certificates (`armsight certs make`, docs/security.md), "
+            "or say --insecure-bind"
+        )
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only processes of this machine can connect there."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol not in _OVER_NETWORK:  # a socket in the file system and the like
+        return True
+    host = host_of(address)
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def reachable_from_here(endpoint: str) -> str:
+    """Where this machine connects to what listens at an endpoint: every address is also the loopback's."""
+    protocol, _, address = endpoint.partition("/")
+    host = host_of(address)
+    try:
+        is_every = ipaddress.ip_address(host).is_unspecified
+    except ValueError:
+        return endpoint
+    if not is_every:
+        return endpoint
+    loopback = "[::1]" if ":" in host else "127.0.0.1"
+    return f"{protocol}/{loopback}{address[address.rindex(':') :]}"
+
+
+def host_of(address: str) -> str:
+    """The host of HOST:PORT, without the brackets of an IPv6 address."""
+    return re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")[0].strip("[]")

@@ -1,0 +1,104 @@
+"""Who puts, reads, answers and asks in the code is who the contract's table says: rights are made from the table."""
+
+import ast
+import re
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armsight import topics
+from armsight.topics import QUERIES, SERVICES, TOPICS
+
+ROOT = Path(__file__).parents[1]
+SERVICE = ROOT / "services" / "vision_cpp" / "src" / "service"
+PYTHON = {"sim": "services/sim/armsight_sim", "control": "services/control/armsight_control"}
+
+Uses = dict[str, set[str]]
+"""Names of rows by what is done with them: publisher, subscriber, serve, query, presence."""
+
+_ROW = {name: row.name for name, row in vars(topics).items() if isinstance(row, topics.Topic | topics.Query)}
+
+
+def uses_in_python(folder: Path) -> Uses:
+    """Calls of a bus's methods with a constant of `armsight.topics` as their first argument."""
+    uses: Uses = defaultdict(set)
+    for file in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+                continue
+            if node.func.attr == "presence":
+                uses["presence"].add("health")
+            elif node.func.attr in ("publisher", "subscriber", "serve", "query") and node.args:
+                first = node.args[0]
+                constant = first.attr if isinstance(first, ast.Attribute) else getattr(first, "id", "")
+                if constant in _ROW:
+                    uses[node.func.attr].add(_ROW[constant])
+    return uses
+
+
+def uses_in_cpp(folder: Path) -> Uses:
+    """Declarations with a constant of the generated `armsight/topics.hpp`."""
+    text = "\n".join(file.read_text(encoding="utf-8") for file in folder.glob("*.cpp"))
+    patterns = {
+        "publisher": r"declare_publisher\(\s*(?:key_for\()?topics::k(\w+)\.key",
+        "subscriber": r"(?:readers_\.emplace_back\(session|make_unique<Reader>\(session_), topics::k(\w+)",
+        "serve": r"declare_queryable\(key_for\(topics::k(\w+)Query",
+        "query": r"->get\(key_for\(topics::k(\w+)Query",
+        "token": r"declare_token\(key_for\(topics::k(\w+)",
+    }
+    return {kind: {snake(name) for name in re.findall(pattern, text)} for kind, pattern in patterns.items()}
+
+
+def snake(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
+
+def is_one_of(role: str, who: tuple[str, ...]) -> bool:
+    return role in who or ("each" in who and role in SERVICES)
+
+
+def uses_in_table(role: str) -> Uses:
+    return {
+        "publisher": {topic.name for topic in TOPICS if is_one_of(role, topic.publishers)},
+        "subscriber": {topic.name for topic in TOPICS if is_one_of(role, topic.readers)},
+        "serve": {query.name for query in QUERIES if is_one_of(role, (query.server,))},
+        "query": {query.name for query in QUERIES if is_one_of(role, query.callers)},
+        "presence": {topic.name for topic in TOPICS if is_one_of(role, topic.watchers)},
+    }
+
+
+@pytest.mark.parametrize("service", PYTHON)
+def test_python_services_do_what_the_table_says(service: str) -> None:
+    own, shared = uses_in_python(ROOT / PYTHON[service]), uses_in_python(ROOT / "proto" / "armsight")
+    # what every Python service does, in one place: health, and parameters for `--health`
+    found = {kind: own[kind] | shared[kind] for kind in ("publisher", "subscriber", "serve", "query")}
+    assert found | {"presence": own["presence"]} == uses_in_table(service)
+
+
+def test_vision_does_what_the_table_says() -> None:
+    found = uses_in_cpp(SERVICE)
+    assert found.pop("token") == {topic.name for topic in TOPICS if topic.watchers}
+    assert found | {"presence": set()} == uses_in_table("vision")
+
+
+def test_operator_does_nothing_that_the_table_denies() -> None:
+    found, allowed = uses_in_python(ROOT / "services/operator/armsight_operator"), uses_in_table("operator")
+    assert {"mode", "stop", "release", "reset"} <= found["query"]
+    assert {kind: rows - allowed[kind] for kind, rows in found.items() if rows - allowed[kind]} == {}
+    # `armsight topics echo KEY` takes any
+    assert allowed["subscriber"] == {topic.name for topic in TOPICS}
+
+
+def test_viewer_reads_what_operator_reads_and_changes_nothing_but_a_stop() -> None:
+    viewer, operator = uses_in_table("viewer"), uses_in_table("operator")
+    assert viewer["subscriber"] == operator["subscriber"]
+    assert viewer["publisher"] == viewer["serve"] == set()
+    assert viewer["query"] == operator["query"] - {"release", "reset", "mode"}
+
+
+@pytest.mark.parametrize("row", [*TOPICS, *QUERIES], ids=lambda row: row.name)
+def test_every_row_says_who(row: Any) -> None:
+    who = (row.publishers, row.readers) if isinstance(row, topics.Topic) else ((row.server,), row.callers)
+    assert all(who), f"{row.name} names nobody on one of its sides: nothing would pass"
