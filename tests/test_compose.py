@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from armsight_operator.stack import free_port
 
 ROOT = Path(__file__).parents[1]
 PROJECT = "armsight-test"
+EXECUTABLE = Path(sys.executable).with_name("armsight")
 ROBOT, SECOND = "robots/arm", "robots/arm-2"
 IMAGES = ("operator", "sim", "vision", "control")
 BUILD_S, UP_S = 2400, 120
@@ -25,12 +27,12 @@ class Compose:
     """The project's compose file, as a user calls it, under a name of its own."""
 
     def __init__(self) -> None:
-        self._environment = os.environ | {"ARMSIGHT_PORT": str(free_port())}
+        self.environment = os.environ | {"ARMSIGHT_PORT": str(free_port())}
 
     def __call__(self, *words: str, timeout_s: float = UP_S) -> str:
         command = ["docker", "compose", "--project-name", PROJECT, *words]
         ended = subprocess.run(
-            command, cwd=ROOT, env=self._environment, capture_output=True, text=True, timeout=timeout_s, check=False
+            command, cwd=ROOT, env=self.environment, capture_output=True, text=True, timeout=timeout_s, check=False
         )
         assert ended.returncode == 0, f"{' '.join(command)}: {ended.stderr[-4000:]}"
         return ended.stdout
@@ -40,7 +42,7 @@ class Compose:
         ended = subprocess.run(
             ["docker", "compose", "--project-name", PROJECT, *words],
             cwd=ROOT,
-            env=self._environment,
+            env=self.environment,
             capture_output=True,
             text=True,
             timeout=30,
@@ -151,6 +153,35 @@ def test_frames_come_by_shared_memory_where_it_is_shared(compose: Compose) -> No
         compose.wait_until_it_follows(60)
         assert counted(compose, "frames_by_shared_memory") > 10
     finally:
+        compose("up", "--detach", "--wait", "--remove-orphans")
+    compose.wait_until_it_follows(60)
+
+
+def test_with_certificates_the_arm_moves_and_nobody_without_one_is_let_in(
+    compose: Compose, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(compose.environment, "ARMSIGHT_CERTIFICATES", str(tmp_path))
+    monkeypatch.setitem(compose.environment, "ARMSIGHT_USER", f"{os.getuid()}:{os.getgid()}")
+    monkeypatch.setitem(compose.environment, "COMPOSE_FILE", "docker-compose.yml:docker-compose.secure.yml")
+    compose("run", "--rm", "certs")
+    assert (tmp_path / "sim" / "key.pem").stat().st_mode & 0o777 == 0o600
+    compose("up", "--detach", "--wait")
+    try:
+        compose.wait_until_it_follows(60)
+        port = compose.environment["ARMSIGHT_PORT"]
+        status = [str(EXECUTABLE), "status", "--json", "--connect", f"tls/127.0.0.1:{port}"]
+        mine = tmp_path / "operator" / "zenoh.json5"
+        inside = subprocess.run(
+            [*status, "--zenoh-config", str(mine)], capture_output=True, text=True, timeout=30, check=False
+        )
+        assert follows(json.loads(inside.stdout)), inside.stderr
+        outside = subprocess.run(status, capture_output=True, text=True, timeout=30, check=False)
+        assert outside.returncode != 0
+        assert "certificate" in outside.stderr
+        secret = (tmp_path / "control" / "key.pem").read_text(encoding="ascii").splitlines()[1]
+        assert secret not in compose("logs") + docker("inspect", compose.container("control"))
+    finally:
+        monkeypatch.undo()
         compose("up", "--detach", "--wait", "--remove-orphans")
     compose.wait_until_it_follows(60)
 
