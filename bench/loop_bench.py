@@ -16,12 +16,13 @@ from armsight.bus import Bus, Received, open_bus
 from armsight.images import encode_rgb8
 from armsight.session import SessionConfig, open_session
 from armsight.times import from_timestamp
+from armsight.topics import SERVICES
 from armsight.v1.control_pb2 import ControlStatus
-from armsight.v1.joints_pb2 import JointPositions
+from armsight.v1.joints_pb2 import JointPositions, StageTimes
 from armsight_operator.monitor import Monitor
 from armsight_operator.picture import take_snapshot
 from armsight_operator.report.run import wait_ready
-from armsight_operator.stack import SERVICES, Stack
+from armsight_operator.stack import Stack
 from armsight_sim.gl import choose_gl
 from echo import measure as measure_echo
 from results import Result, at_least, at_most, compare, percentile, publish
@@ -52,28 +53,29 @@ def bus_of(stack: Stack) -> Iterator[Bus]:
         yield bus
 
 
-def run_stack(stack: Stack, seconds: float) -> tuple[list[float], float, float]:
-    """Latencies from frames sent to command sent (ms), answers a second, and seconds until ready."""
+def watch(stack: Stack, seconds: float) -> tuple[dict[int, StageTimes], float]:
+    """Starts the services beside a router that runs, and stops them; in between listens to what control answers.
+
+    Returns:
+        When each stage of an answer was, by capture time; and the seconds until the services were ready.
+    """
     began = time.monotonic()
+    stages: dict[int, StageTimes] = {}
+
+    def keep(received: Received[ControlStatus]) -> None:
+        stages[from_timestamp(received.message.capture_time)] = received.message.stages
+
     with bus_of(stack) as bus:
         for name in SERVICES:
             stack.start(name)
         wait_ready(Monitor(bus))
         ready_s = time.monotonic() - began
-        bus.query(topics.MODE, topics.MODE.request(mode="CONTROL_MODE_TEST_2"))
         time.sleep(1.0)
-        latencies: dict[int, float] = {}
-
-        def keep(received: Received[ControlStatus]) -> None:
-            stages = received.message.stages
-            stamp = from_timestamp(received.message.capture_time)
-            latencies[stamp] = (stages.control_sent_ns - stages.frames_sent_ns) / 1e6
-
         subscriber = bus.subscriber(topics.CONTROL_STATUS, keep=256, on_message=keep)
         time.sleep(seconds)
         subscriber.close()
     stack.stop()
-    return list(latencies.values()), len(latencies) / seconds, ready_s
+    return stages, ready_s
 
 
 def measure_latency(shared_memory: bool) -> list[Result]:
@@ -84,13 +86,13 @@ def measure_latency(shared_memory: bool) -> list[Result]:
     echo: list[float] = []
     rates: list[float] = []
     readies: list[float] = []
-    with Stack(target="none", mode="hold") as stack:
+    with Stack(target="none", mode="test-2") as stack:
         stack.start("router")
         time.sleep(1.0)
         for _ in range(ROUNDS):
-            latencies, rate, ready_s = run_stack(stack, SECONDS)
-            loop += latencies
-            rates.append(rate)
+            stages, ready_s = watch(stack, SECONDS)
+            loop += [(each.control_sent_ns - each.frames_sent_ns) / 1e6 for each in stages.values()]
+            rates.append(len(stages) / SECONDS)
             readies.append(ready_s)
             echo += measure_echo(stack.endpoint, PAIRS, RATE_HZ, shared_memory)
     results = [
@@ -148,21 +150,10 @@ def measure_control() -> list[Result]:
     os.environ["ARMSIGHT_SHARED_MEMORY"] = ""
     results = []
     for mode, clock, target in CONTROL_MODES:
-        taken_ms: list[float] = []
-
-        def keep(received: Received[ControlStatus], taken_ms: list[float] = taken_ms) -> None:
-            stages = received.message.stages
-            taken_ms.append((stages.control_sent_ns - stages.control_received_ns) / 1e6)
-
         with Stack(clock=clock, target=target, mode=mode) as stack:
             stack.start("router")
-            with bus_of(stack) as bus:
-                for name in SERVICES:
-                    stack.start(name)
-                wait_ready(Monitor(bus))
-                time.sleep(1.0)
-                bus.subscriber(topics.CONTROL_STATUS, keep=256, on_message=keep)
-                time.sleep(CONTROL_SECONDS)
+            stages, _ = watch(stack, CONTROL_SECONDS)
+        taken_ms = [(each.control_sent_ns - each.control_received_ns) / 1e6 for each in stages.values()]
         title = f"{clock}, {mode}: positions received to command sent"
         results.append(Result(f"{title}, p50", percentile(taken_ms, 50), "ms", "", None, "", None))
         results.append(at_most(f"{title}, p99", percentile(taken_ms, 99), "ms", 3.0))
@@ -174,10 +165,11 @@ def measure_lockstep() -> list[Result]:
     os.environ["ARMSIGHT_SHARED_MEMORY"] = ""
     results = []
     for samples in (0, 4):
-        with Stack(clock="lockstep", samples=samples, target="none", mode="hold") as stack:
+        with Stack(clock="lockstep", samples=samples, target="none", mode="test-2") as stack:
             stack.start("router")
-            _, rate, _ = run_stack(stack, LOCKSTEP_SECONDS)
+            stages, _ = watch(stack, LOCKSTEP_SECONDS)
         alone = renders_a_second(samples)
+        rate = len(stages) / LOCKSTEP_SECONDS
         results.append(compare(f"lockstep, {samples} samples a pixel", rate, "Hz", "rendering alone", alone))
     return results
 

@@ -29,24 +29,20 @@ class Compose:
     def __init__(self) -> None:
         self.environment = os.environ | {"ARMSIGHT_PORT": str(free_port())}
 
-    def __call__(self, *words: str, timeout_s: float = UP_S) -> str:
+    def run(self, *words: str, timeout_s: float = UP_S) -> subprocess.CompletedProcess[str]:
         command = ["docker", "compose", "--project-name", PROJECT, *words]
-        ended = subprocess.run(
+        return subprocess.run(
             command, cwd=ROOT, env=self.environment, capture_output=True, text=True, timeout=timeout_s, check=False
         )
-        assert ended.returncode == 0, f"{' '.join(command)}: {ended.stderr[-4000:]}"
+
+    def __call__(self, *words: str, timeout_s: float = UP_S) -> str:
+        ended = self.run(*words, timeout_s=timeout_s)
+        assert ended.returncode == 0, f"docker compose {' '.join(words)}: {ended.stderr[-4000:]}"
         return ended.stdout
 
     def status(self, namespace: str = ROBOT) -> dict[str, Any]:
-        words = ["exec", "-T", "operator", "armsight", "status", "--json", "--namespace", namespace]
-        ended = subprocess.run(
-            ["docker", "compose", "--project-name", PROJECT, *words],
-            cwd=ROOT,
-            env=self.environment,
-            capture_output=True,
-            text=True,
-            timeout=30,
-            check=False,
+        ended = self.run(
+            "exec", "-T", "operator", "armsight", "status", "--json", "--namespace", namespace, timeout_s=30
         )
         return dict(json.loads(ended.stdout)) if ended.stdout else {"said": ended.stderr}
 
@@ -124,8 +120,7 @@ def test_memory_that_runs_out_in_one_container_is_its_own_affair(compose: Compos
     compose.wait_until_it_follows(60)
     before = compose.container("control")
     greedy = "b = bytearray(); [b.extend(bytes(1 << 24)) for _ in range(1 << 10)]"
-    words = ["docker", "compose", "--project-name", PROJECT, "exec", "-T", "control", "python3", "-c", greedy]
-    ended = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    ended = compose.run("exec", "-T", "control", "python3", "-c", greedy, timeout_s=60)
     assert ended.returncode != 0, "16 GiB in a container of 1"
     compose("up", "--detach", "--wait")
     compose.wait_until_it_follows(60)
@@ -216,11 +211,5 @@ def test_nobody_in_an_image_can_become_another_compile_or_replace_a_program(comp
 def test_no_container_runs_as_root_or_can_write_to_its_image(compose: Compose) -> None:
     for service in ("router", "sim", "vision", "control", "operator"):
         assert compose("exec", "-T", service, "id", "-u").strip() == "10001", service
-        write = subprocess.run(
-            ["docker", "compose", "--project-name", PROJECT, "exec", "-T", service, "touch", "/usr/local/file"],
-            cwd=ROOT,
-            env=os.environ | {"ARMSIGHT_PORT": "1"},
-            capture_output=True,
-            check=False,
-        )
+        write = compose.run("exec", "-T", service, "touch", "/usr/local/file")
         assert write.returncode != 0, service

@@ -17,8 +17,8 @@ from typing import Literal
 
 import zenoh
 
+from armsight import tls
 from armsight.errors import ConfigError
-from armsight.tls import tls_files, why_refused
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +37,6 @@ _DATA_LOW_QUEUE = 16
 
 _HINT_AFTER_ATTEMPTS = 4
 
-_TLS = "transport/link/tls"
 _TLS_FILES = (
     "root_ca_certificate",
     "listen_certificate",
@@ -162,8 +161,8 @@ def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session 
 
 def refusal(config: SessionConfig) -> str:
     """Why the router does not let this session in, where certificates are the reason; empty otherwise."""
-    files = tls_files(zenoh_settings(replace(config, shared_memory="off")))
-    return next((reason for endpoint in config.endpoints if (reason := why_refused(endpoint, files))), "")
+    files = tls.tls_files(zenoh_settings(replace(config, shared_memory="off")))
+    return next((reason for endpoint in config.endpoints if (reason := tls.why_refused(endpoint, files))), "")
 
 
 def zenoh_settings(config: SessionConfig) -> zenoh.Config:
@@ -246,13 +245,13 @@ def _read_file(file: Path) -> zenoh.Config:
     except zenoh.ZError as error:
         raise ConfigError(f"{file} is not a Zenoh configuration: {_reason(error)}") from error
     for name in _TLS_FILES:
-        named = json.loads(settings.get_json(f"{_TLS}/{name}"))
+        named = json.loads(settings.get_json(f"{tls.SETTINGS}/{name}"))
         if not named:
             continue
         path = file.parent.absolute() / named
         if not os.access(path, os.R_OK):  # Zenoh would try again for ever
             raise ConfigError(f"{file}: {name} {path} is missing or can't be read by this user")
-        settings.insert_json5(f"{_TLS}/{name}", json.dumps(str(path)))
+        settings.insert_json5(f"{tls.SETTINGS}/{name}", json.dumps(str(path)))
     return settings
 
 

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import zenoh
 
 _TIMEOUT_S = 1.0
-_PATH = "transport/link/tls"
+
+SETTINGS = "transport/link/tls"
+"""Where Zenoh's configuration has everything of TLS."""
 
 _OURS = {
     "CERTIFICATE_REQUIRED": "the router wants a certificate, and we show none: set connect_certificate and "
@@ -42,16 +44,21 @@ def tls_files(settings: zenoh.Config) -> TlsFiles:
     """The files that a session connects with."""
 
     def get(name: str) -> str:
-        return str(json.loads(settings.get_json(f"{_PATH}/{name}")) or "")
+        return str(json.loads(settings.get_json(f"{SETTINGS}/{name}")) or "")
 
     return TlsFiles(get("root_ca_certificate"), get("connect_certificate"), get("connect_private_key"))
+
+
+def host_and_port(address: str) -> tuple[str, str]:
+    """The parts of HOST:PORT, without an endpoint's options and the brackets of an IPv6 address."""
+    host, _, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
+    return host.strip("[]"), port
 
 
 def why_refused(endpoint: str, files: TlsFiles) -> str:
     """What keeps a client from joining the router at an endpoint; empty where certificates are not the reason."""
     protocol, _, address = endpoint.partition("/")
-    host, _, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
-    host = host.strip("[]")
+    host, port = host_and_port(address)
     try:
         if protocol == "tls":
             return _refusal(host, int(port), files)

@@ -1,9 +1,9 @@
 """Who could reach a router that listens at an endpoint, and whether they would have to prove who they are."""
 
 import ipaddress
-import re
 from collections.abc import Sequence
 
+from armsight.tls import host_and_port
 from armsight_operator.errors import InsecureBindError
 
 _WITH_CERTIFICATES = ("tls", "quic")
@@ -35,7 +35,7 @@ def is_local(endpoint: str) -> bool:
     protocol, _, address = endpoint.partition("/")
     if protocol not in _OVER_NETWORK:  # a socket in the file system and the like
         return True
-    host = host_of(address)
+    host, _ = host_and_port(address)
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -45,7 +45,7 @@ def is_local(endpoint: str) -> bool:
 def reachable_from_here(endpoint: str) -> str:
     """Where this machine connects to what listens at an endpoint: every address is also the loopback's."""
     protocol, _, address = endpoint.partition("/")
-    host = host_of(address)
+    host, _ = host_and_port(address)
     try:
         is_every = ipaddress.ip_address(host).is_unspecified
     except ValueError:
@@ -54,8 +54,3 @@ def reachable_from_here(endpoint: str) -> str:
         return endpoint
     loopback = "[::1]" if ":" in host else "127.0.0.1"
     return f"{protocol}/{loopback}{address[address.rindex(':') :]}"
-
-
-def host_of(address: str) -> str:
-    """The host of HOST:PORT, without the brackets of an IPv6 address."""
-    return re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")[0].strip("[]")

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 
 from armsight import topics
 from armsight.bus import Bus, Received
+from armsight.topics import SERVICES
 from armsight.v1.control_pb2 import ControlMode, ControlState, ControlStatus
 from armsight.v1.health_pb2 import HEALTH_STATUS_OK, Health, HealthStatus
 from armsight.v1.safety_pb2 import StopState
-
-SERVICES = ("sim", "vision", "control")
 
 _STALE_S = 2.5
 """Health comes once a second: two may be lost before a service counts as missing."""

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from armsight.topics import SERVICES
 from armsight_operator.errors import MissingExecutableError, OperatorError, PortInUseError
-from armsight_operator.stack import NAMES, SERVICES, Stack, executables
+from armsight_operator.stack import NAMES, Stack, executables
 from armsight_operator.stack.executables import find_executable
 
 STUBBORN = (

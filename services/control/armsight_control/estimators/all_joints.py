@@ -118,7 +118,7 @@ class AllJoints:
                     restarted = True
                     prior = at_rest(found.q, _START_RAD, _START_RAD_S)
                     best = self._fit(readings, prior)
-        moving = updated(prior, best.q, _inverse(best.information))
+        moving = updated(prior, best.q, np.asarray(np.linalg.inv(best.information), dtype=np.float64))
         by_tip = best.placed.jacobians[-1]
         spread = largest_variance(by_tip @ moving.angles_covariance @ by_tip.T)
         sigma = np.sqrt(np.diagonal(moving.angles_covariance))
@@ -169,10 +169,6 @@ class AllJoints:
         least = min(found.misfit for found in fits)
         equals = [found for found in fits if found.misfit <= least + _AS_GOOD]
         return min(equals, key=lambda found: float(np.abs(found.q - setpoint).sum()))
-
-
-def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def _surprise(best: Fit, prior: Moving) -> float:

@@ -261,20 +261,23 @@ def _pem(certificate: x509.Certificate) -> bytes:
     return certificate.public_bytes(serialization.Encoding.PEM)
 
 
-def _read_certificate(path: Path) -> x509.Certificate:
+def _read(path: Path) -> bytes:
     try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
+        return path.read_bytes()
     except OSError as error:
         raise CertificateError(f"can't read {path}: {error.strerror}") from error
+
+
+def _read_certificate(path: Path) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(_read(path))
     except ValueError as error:
         raise CertificateError(f"{path} is not a certificate in PEM form") from error
 
 
 def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     try:
-        key = serialization.load_pem_private_key(path.read_bytes(), password=None)
-    except OSError as error:
-        raise CertificateError(f"can't read {path}: {error.strerror}") from error
+        key = serialization.load_pem_private_key(_read(path), password=None)
     except (ValueError, TypeError) as error:  # what is wrong with a key is not for a log
         raise CertificateError(f"{path} is not a private key in PEM form") from error
     if not isinstance(key, ec.EllipticCurvePrivateKey):

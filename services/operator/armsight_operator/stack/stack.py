@@ -11,13 +11,11 @@ from types import TracebackType
 from typing import Self
 
 from armsight.session import DEFAULT_NAMESPACE
+from armsight.topics import SERVICES
 from armsight_operator.certs.layout import CONFIGURATION
 from armsight_operator.errors import OperatorError, PortInUseError
 from armsight_operator.stack.executables import find_executable
 from armsight_operator.stack.process import Process
-
-SERVICES = ("sim", "vision", "control")
-"""In the order in which data pass them."""
 
 NAMES = ("router", *SERVICES)
 
