@@ -102,11 +102,15 @@ def measure(targets: int, seed: int, joints: int, peers: Sequence[str]) -> list[
     for entry in entries.values():
         entry.solve(aims[0], begins[0])  # the first call loads and warms up
     for i, (aim, begin) in enumerate(zip(aims, begins, strict=True)):
+        for remote in remotes.values():
+            remote.posture = goals[i]
         for entry in entries.values():
             if entry.most is None or i < entry.most:
                 q, seconds = entry.solve(aim, begin)
                 entry.solutions.append(q)
                 entry.seconds.append(seconds)
+    for remote in remotes.values():
+        remote.posture = None
     rows = [_row(name, joints, entry, aims, begins) for name, entry in entries.items()]
     for remote in remotes.values():
         remote.close()
