@@ -95,7 +95,7 @@ def test_viewer_reads_what_operator_reads_and_changes_nothing_but_a_stop() -> No
     viewer, operator = uses_in_table("viewer"), uses_in_table("operator")
     assert viewer["subscriber"] == operator["subscriber"]
     assert viewer["publisher"] == viewer["serve"] == set()
-    assert viewer["query"] == operator["query"] - {"release", "reset", "mode"}
+    assert viewer["query"] == operator["query"] - {"release", "reset", "mode", "set_parameters"}
 
 
 @pytest.mark.parametrize("row", [*TOPICS, *QUERIES], ids=lambda row: row.name)

@@ -241,7 +241,18 @@ def _followed(entry: Entry, joints: int) -> tuple[float, float, float]:
 
 
 def _table(rows: Sequence[Row]) -> None:
-    titles = ("solver", "joints", "< 5 mm", "< 1 µm", "median ms", "p99 ms", "batch ms", "above best m", "step rad", "for s")
+    titles = (
+        "solver",
+        "joints",
+        "< 5 mm",
+        "< 1 µm",
+        "median ms",
+        "p99 ms",
+        "batch ms",
+        "above best m",
+        "step rad",
+        "for s",
+    )
     print(f"{titles[0]:32}" + "".join(f"{title:>13}" for title in titles[1:]))
     for row in rows:
         ends = (row.batch_ms, row.above_best_m, row.largest_step_rad, row.followed_s)

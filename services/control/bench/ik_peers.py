@@ -375,7 +375,8 @@ def serve(name: str, joints: int) -> None:
     print(json.dumps("ready"), file=out, flush=True)
     for line in sys.stdin:
         target, start, posture = (None if values is None else np.array(values) for values in json.loads(line))
-        assert target is not None and start is not None
+        assert target is not None
+        assert start is not None
         peer.posture = posture
         began = perf_counter()
         q = peer.solve(target, start)
