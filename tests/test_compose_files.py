@@ -118,7 +118,7 @@ def test_certificates_that_compose_makes_are_those_that_it_mounts(tmp_path: Path
         main(command[1:])
     assert not ended.value.code
     folder = Folder(tmp_path)
-    assert set(folder.names()) == set(BUS)
+    assert set(folder.names()) == {*BUS, "recorder"}
     router = next(entry for entry in folder.entries() if entry.name == "router")
     assert {"router", "127.0.0.1"} <= set(router.hosts)  # as services and as its own health check call it
     for name in BUS[1:]:
