@@ -326,9 +326,9 @@ class Bus:
             inner = zenoh.ext.declare_advanced_subscriber(self.session, key, channel, history=history)
         else:
             inner = self.session.declare_subscriber(key, channel)
-        handler = inner.handler
 
         def read() -> None:
+            handler = inner.handler  # as in Subscriber; and the thread keeps the subscriber, whoever forgets it
             while True:
                 try:
                     sample = handler.recv()

@@ -3,22 +3,36 @@
 From the first byte to the last, without the index: of a file that a crash ended there is none.
 """
 
+import itertools
 import struct
-from collections.abc import Container, Iterator
+from collections.abc import Collection, Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from google.protobuf.message import Message
 from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Footer, Metadata, Schema
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
 
 from armsight.errors import ConfigError
 from armsight.topics import TOPICS, Topic
 
 _MAGIC = b"\x89MCAP0\r\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """What a recording has, without its messages."""
+
+    channels: dict[str, str]
+    """Full name of the message by key, converted channels left out."""
+    begin_ns: int
+    end_ns: int
+    """When the last message came."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +104,39 @@ class Recording:
                 if keys is None or entry.key in keys:
                     yield entry
 
+    def outline(self) -> Outline:
+        """From the index where there is one, by reading all of it where there is none."""
+        channels: dict[str, str] = {}
+        times: list[int] = []
+        for path in self.paths:
+            summary = _summary(path)
+            if summary is None:
+                for entry in self._read(path, None, None):
+                    times += [entry.log_ns] if not times else []
+                    times[1:] = [entry.log_ns]
+                    if not entry.converted:
+                        channels[entry.key] = entry.schema
+                continue
+            for channel in summary.channels.values():
+                if "converted_from" not in channel.metadata:
+                    channels[channel.topic] = summary.schemas[channel.schema_id].name
+            if summary.statistics is not None and summary.statistics.message_count:
+                times += [summary.statistics.message_start_time, summary.statistics.message_end_time]
+        return Outline(channels, min(times, default=0), max(times, default=0))
+
+    def last_before(self, keys: Collection[str], before_ns: int) -> list[Entry]:
+        """The last message of each key that came before a time, in the order in which they came."""
+        found: dict[str, Entry] = {}
+        for path in reversed(self.paths):
+            missing = [key for key in keys if key not in found]
+            if missing:
+                found |= _last_by_index(path, missing, before_ns) or {
+                    entry.key: entry
+                    for entry in self._read(path, None, before_ns)
+                    if entry.key in missing and entry.log_ns < before_ns
+                }
+        return sorted(found.values(), key=lambda entry: (entry.log_ns, entry.key))
+
     def _read(self, path: Path, begin_ns: int | None, end_ns: int | None) -> Iterator[Entry]:
         self.troubles.pop(path, None)
         channels: dict[int, tuple[Channel, str]] = {}
@@ -124,6 +171,32 @@ class Recording:
                 self.troubles[path] = "its last bytes are missing, and nothing else" if ended else unfinished
             except Exception as error:  # damaged bytes: whatever the decompressors and the library make of them
                 self.troubles[path] = f"damaged before byte {file.tell()} of {size}: {_first_line(error)}"
+
+
+def _summary(path: Path) -> Summary | None:
+    """The index at the end of a file; none where there is none, or none that can be read."""
+    try:
+        with path.open("rb") as file:
+            return make_reader(file).get_summary()
+    except Exception:  # nobody finished it, or it is damaged: then it is read from the beginning
+        return None
+
+
+def _last_by_index(path: Path, keys: Collection[str], before_ns: int) -> dict[str, Entry]:
+    """Nothing where there is no index, or what it points to can't be read."""
+    found: dict[str, Entry] = {}
+    if _summary(path) is None:
+        return found
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            for key in keys:
+                newest = reader.iter_messages([key], ending_before=before_ns, reverse=True)
+                for schema, channel, message in itertools.islice(newest, 1):
+                    found[key] = _entry(message, channel, schema.name if schema else "")
+    except Exception:  # damaged: it is read from the beginning, which says where
+        return {}
+    return found
 
 
 def topic_of(key: str) -> Topic[Any] | None:
