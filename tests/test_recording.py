@@ -1,5 +1,6 @@
 """Recordings of the whole stack: killed recorders, vision without sim, the loop beside a recorder."""
 
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -10,8 +11,11 @@ import pytest
 
 from armsight import topics
 from armsight.bus import Received
+from armsight_operator.monitor import Monitor
 from armsight_operator.recording.info import info_of
 from armsight_operator.recording.reader import Recording
+from armsight_operator.report import from_recording, measure, summary
+from armsight_operator.report.run import Run
 from armsight_operator.stack import Stack
 from armsight_operator.stack.executables import find_executable
 from rig import Rig, without_stages
@@ -114,6 +118,35 @@ def test_a_fresh_vision_measures_the_same_from_a_recording_bit_by_bit(
     assert len(both) >= INSTANTS
     assert len(set(recorded.values())) > INSTANTS // 2, "did the arm move?"
     assert [measured[stamp] for stamp in both] == [recorded[stamp] for stamp in both]
+
+
+def test_report_from_a_recording_has_the_figures_of_the_live_one(
+    make_rig: Callable[..., Rig], armsight: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    rig = make_rig(clock="lockstep", target="none", mode="hold")
+    rig.start("router")
+    recorder = armsight("record", str(path), "--without", "camera/*/image", "--connect", rig.stack.endpoint)
+    assert recorder.stdout is not None
+    assert "records to" in recorder.stdout.readline()
+    rig.start_all()
+    rig.wait_ready()
+    run = Run(rig.bus, Monitor(rig.bus))
+    live = measure.part1(run, 8.0, 2.0, lambda _: None)
+    rig.mode("hold")
+    recorder.send_signal(signal.SIGTERM)
+    out, err = recorder.communicate(timeout=20)
+    assert recorder.returncode == 0, err
+    assert "lost none" in out
+    instants = from_recording.instants_of(Recording(path), "test-1")[: len(live.time_s)]
+    recorded = measure.part_of("test-1", instants, run.arm, len(run.cameras), 8.0)
+    assert len(live.time_s) == 60
+    assert summary.part_figures(recorded) == summary.part_figures(live)
+    assert [instant.latency_ms for instant in instants] == run.latencies_ms
+    # and the command reads the same motion
+    motion = next(m for m in from_recording.measure(Recording(path)).motions if m.mode == "test-1")
+    assert motion.part is not None
+    assert (motion.part.estimated[: len(live.time_s)] == live.estimated).all()
 
 
 def test_nothing_is_replayed_where_sim_is(

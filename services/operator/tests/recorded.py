@@ -40,7 +40,9 @@ def messages(instants: int, side: int = 16) -> Iterator[tuple[Topic[Any], str, i
             pixels = bytes((number + row * 7) % 256 for row in range(side)) * side * 3
             yield topics.CAMERA_IMAGE, camera, stamp_ns, encode_rgb8(pixels, side, side, f"camera_{camera}", stamp_ns)
         positions = JointPositions(capture_time=stamp)
-        marker = positions.markers.add(name="red", status=MARKER_STATUS_TRACKED, covariance=[1e-6, 0, 0] * 3)
+        marker = positions.markers.add(
+            name="red", status=MARKER_STATUS_TRACKED, covariance=[1e-6, 0, 0, 0, 1e-6, 0, 0, 0, 1e-6]
+        )
         marker.position.x = 0.01 * number
         yield topics.JOINT_POSITIONS, "", stamp_ns, positions.SerializeToString()
         joints = [JointState(name=name, position=0.1 * number) for name in NAMES]

@@ -11,7 +11,20 @@ from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from armsight_operator.cli import certs, motion, record, recording, replay, router, snapshot, status, stop, topics, up
+from armsight_operator.cli import (
+    certs,
+    export,
+    motion,
+    record,
+    recording,
+    replay,
+    router,
+    snapshot,
+    status,
+    stop,
+    topics,
+    up,
+)
 
 REFUSED = 1
 """Exit code: a service refused, or nobody answered."""
@@ -85,6 +98,7 @@ app.command("snapshot")(snapshot.snapshot)
 app.command("record")(record.record)
 app.add_typer(recording.app, name="recording")
 app.command("replay")(replay.replay)
+app.command("export")(export.export)
 app.command("router")(router.router)
 app.add_typer(certs.app, name="certs")
 
