@@ -151,10 +151,14 @@ class McapFile:
         Raises:
             OSError: no room; what was added before is in the file once :meth:`finish` was called.
         """
+        try:
+            self._set_aside(len(payload))
+        except OSError:
+            if not self._gathered:
+                raise
+            self.flush()  # compressed it takes less than was set aside for it
+            self._set_aside(len(payload))
         self._gathered += 1
-        index = _INDEX_BYTES + self._schema_bytes + _INDEX_BYTES_PER_CHUNK * self._chunks
-        index += _INDEX_BYTES_PER_MESSAGE * self._gathered
-        self._output.set_aside(self._gathered_bytes + len(payload) + index)
         log_ns, publish_ns = times_ns
 
         def add() -> None:
@@ -192,6 +196,12 @@ class McapFile:
         finally:
             self._output.cut(self._output.tell())
             self._output.close()
+
+    def _set_aside(self, size: int) -> None:
+        """Room for one more message in the chunk that is gathered, and for the index."""
+        index = _INDEX_BYTES + self._schema_bytes + _INDEX_BYTES_PER_CHUNK * self._chunks
+        index += _INDEX_BYTES_PER_MESSAGE * (self._gathered + 1)
+        self._output.set_aside(self._gathered_bytes + size + index)
 
     def _guarded(self, write) -> None:  # type: ignore[no-untyped-def]
         try:
