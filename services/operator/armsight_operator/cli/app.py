@@ -12,6 +12,7 @@ from typer.exceptions import TyperException
 from typer.main import get_command
 
 from armsight_operator.cli import (
+    bridge,
     certs,
     export,
     motion,
@@ -99,6 +100,7 @@ app.command("record")(record.record)
 app.add_typer(recording.app, name="recording")
 app.command("replay")(replay.replay)
 app.command("export")(export.export)
+app.add_typer(bridge.app, name="bridge")
 app.command("router")(router.router)
 app.add_typer(certs.app, name="certs")
 
