@@ -16,6 +16,7 @@ from armsight_operator.recording.info import Info, info_of
 from armsight_operator.recording.reader import Recording
 from fake_arm import description
 from recorded import messages
+from secure_bus import SecureBus
 
 READY_S = 15.0
 
@@ -170,3 +171,31 @@ def test_it_answers_and_tells_its_health_while_it_runs(
     assert said.message.gauges["bytes_written"] > 0
     assert "run.mcap" in said.message.detail
     process.end()
+
+
+def test_with_certificates_its_own_is_enough(tmp_path: Path) -> None:
+    secure = SecureBus(tmp_path / "certs")
+    secure.start_router()
+    words = [str(tmp_path / "run.mcap"), "--zenoh-config", str(secure.file("recorder"))]
+    process = Process(secure.endpoint, *words)
+    try:
+        health = secure.bus("operator").subscriber(topics.HEALTH, "recorder")
+        process.wait_ready()
+        assert health.recv(10.0) is not None, "its health is heard"
+        sim = secure.bus("sim")
+        sim.publisher(topics.DESCRIPTION).put(description())
+        clock = sim.publisher(topics.CLOCK)
+        until = time.monotonic() + 10
+        while not clock.has_subscribers():
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        clock.put(topics.CLOCK.message(frame=7))
+        time.sleep(1.0)
+        code, out, err = process.end()
+        assert (code, err) == (0, ""), out
+    finally:
+        process.process.kill()
+        process.process.communicate()
+        secure.close()
+    found = counted(tmp_path / "run.mcap")
+    assert {key: found.keys[key].count for key in ("clock", "description")} == {"clock": 1, "description": 1}
