@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -375,6 +376,18 @@ def test_a_frame_larger_than_the_backlog_is_recorded_all_the_same() -> None:
     backlog = Backlog(10)
     assert backlog.put(sample(1000))
     assert not backlog.put(sample(1000))
+
+
+def test_in_lockstep_frames_wait_for_room_and_no_longer_than_their_patience() -> None:
+    backlog = Backlog(1000)
+    while backlog.put(sample(300)):
+        pass
+    lost = sum(backlog.lost.values())
+    timer = threading.Timer(0.2, backlog.take, (0.0,))
+    timer.start()
+    assert backlog.put(sample(300), 10.0), "somebody took one meanwhile"
+    assert not backlog.put(sample(300), 0.1), "nobody does"
+    assert sum(backlog.lost.values()) == lost + 1
 
 
 def test_times_never_run_backwards_though_the_clock_does() -> None:

@@ -56,11 +56,13 @@ def record(
 
     A crash takes the last second, no more. Exit code 1 where the disk gets full.
 
-    Examples:
-        armsight record run.mcap
-        armsight record tables.mcap --without 'camera/*/image'
-        armsight record long.mcap --split-mb 1000
-        armsight record arm.mcap 'joints/*' control/status target
+    Example: armsight record run.mcap
+
+    Example: armsight record tables.mcap --without 'camera/*/image'
+
+    Example: armsight record long.mcap --split-mb 1000
+
+    Example: armsight record arm.mcap 'joints/*' control/status target
     """
     from armsight.errors import ConfigError
     from armsight_operator.cli.bus import configuration

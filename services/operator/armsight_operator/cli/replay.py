@@ -46,11 +46,13 @@ def replay(
 ) -> None:
     """Put a recording on the bus again, in the place of sim: for vision or control.
 
-    Examples:
-        armsight replay run.mcap
-        armsight replay run.mcap --lockstep
-        armsight replay run.mcap --rate 0.2 --start 10 --end 12 --loop
-        armsight replay run.mcap --for control --with-commands
+    Example: armsight replay run.mcap
+
+    Example: armsight replay run.mcap --lockstep
+
+    Example: armsight replay run.mcap --rate 0.2 --start 10 --end 12 --loop
+
+    Example: armsight replay run.mcap --for control --with-commands
     """
     from armsight_operator.cli.bus import configuration, connected
     from armsight_operator.recording.reader import Recording

@@ -52,9 +52,9 @@ def report(
 ) -> None:
     """Measure the whole pipeline against the truth, as it runs or from a recording: tables and plots.
 
-    Examples:
-        armsight report --quick
-        armsight report --from run.mcap
+    Example: armsight report --quick
+
+    Example: armsight report --from run.mcap
     """
     if samples not in (0, 4):
         raise typer.BadParameter("0 or 4", param_hint="--samples")
