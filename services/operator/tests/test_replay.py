@@ -132,6 +132,19 @@ def test_loop_plays_until_it_is_asked_to_stop(play: Play, heard: Heard) -> None:
     assert len(heard.payloads("camera/1/image")) > 10
 
 
+@pytest.mark.usefixtures("heard")
+def test_each_round_is_announced_as_a_sim_that_has_just_come(play: Play, make_bus: Callable[[], Bus]) -> None:
+    changes: list[tuple[str, bool]] = []
+    make_bus().presence(lambda name, here: changes.append((name, here)))
+    stop = threading.Event()
+    timer = threading.Timer(2.0, stop.set)
+    timer.start()
+    played = play(loop=True, stop=stop)
+    time.sleep(0.3)
+    assert played.rounds >= 2
+    assert changes == [("sim", True), ("sim", False)] * played.rounds
+
+
 def test_an_unfinished_recording_is_replayed_to_its_end(play: Play, recording: Recording) -> None:
     (path,) = recording.paths
     path.write_bytes(path.read_bytes()[:-50])

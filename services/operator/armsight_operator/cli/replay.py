@@ -68,7 +68,13 @@ def replay(
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
         if not beside_sim:
             check_no_sim(bus)
-        player = Replay(bus, recording, lambda topic, name: topic in inputs and selection.has(name), lockstep=lockstep)
+        player = Replay(
+            bus,
+            recording,
+            lambda topic, name: topic in inputs and selection.has(name),
+            lockstep=lockstep,
+            as_sim=not beside_sim,
+        )
         print(f"replays {', '.join(sorted(player.keys))}", flush=True)
         played = player.run(stop, Span(start, end), rate, loop=loop)
     answered = f", {played.answered} instants answered" if lockstep else f", at most {1000 * played.late_s:.0f} ms late"

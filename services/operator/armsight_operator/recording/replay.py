@@ -7,7 +7,8 @@ the same frames give the same positions, bit for bit.
 import struct
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,6 +44,8 @@ _SEND_AGAIN_S = 6.0
 _GIVE_UP_S = 30.0
 _POLL_S = 0.1
 _SIM_ANSWERS_S = 1.0
+_ANNOUNCED_S = 0.3
+"""For everybody to have heard of it: what comes before is forgotten."""
 _SOON_NS = 5_000_000_000
 
 
@@ -105,7 +108,13 @@ class Replay:
     """Puts the chosen keys of a recording on the bus."""
 
     def __init__(
-        self, bus: Bus, recording: Recording, is_wanted: Callable[[Topic[Any], str], bool], *, lockstep: bool
+        self,
+        bus: Bus,
+        recording: Recording,
+        is_wanted: Callable[[Topic[Any], str], bool],
+        *,
+        lockstep: bool,
+        as_sim: bool = True,
     ) -> None:
         """Declares publishers for what is recorded and wanted.
 
@@ -114,11 +123,13 @@ class Replay:
             recording: where from.
             is_wanted: of a row of the table and a key of it.
             lockstep: whether each instant waits for its answer.
+            as_sim: whether it is announced as a sim that has just come: then control begins anew, and takes times that
+                lie before those it knows. Not where there is a sim.
 
         Raises:
             ConfigError: nothing of the recording is wanted, or nothing in it would be answered.
         """
-        self._bus, self._recording, self._lockstep = bus, recording, lockstep
+        self._bus, self._recording, self._lockstep, self._as_sim = bus, recording, lockstep, as_sim
         self._outline = recording.outline()
         topics = {key: topic for key in self._outline.channels if (topic := topic_of(key)) and is_wanted(topic, key)}
         if not topics:
@@ -159,16 +170,30 @@ class Replay:
             raise ConfigError(f"the recording is {seconds:.1f} s long: it can't start at {span.begin_s:g} s")
         played = Played()
         while not stop.is_set():
-            known = self._known_at(begin_ns)
-            for entry in known:
-                self._put(entry, played)
-            if played.rounds == 0:
-                self._await_listeners(stop)
-            self._play(stop, (begin_ns, end_ns), rate, {(entry.key, entry.sequence) for entry in known}, played)
+            with self._presence(stop):
+                known = self._known_at(begin_ns)
+                for entry in known:
+                    self._put(entry, played)
+                if played.rounds == 0:
+                    self._await_listeners(stop)
+                self._play(stop, (begin_ns, end_ns), rate, {(entry.key, entry.sequence) for entry in known}, played)
             played.rounds += 1
             if not loop:
                 break
         return played
+
+    @contextmanager
+    def _presence(self, stop: threading.Event) -> Iterator[None]:
+        """Sim's liveliness token, for one round."""
+        if not self._as_sim:
+            yield
+            return
+        token = self._bus.session.liveliness().declare_token(HEALTH.key_for("sim"))
+        stop.wait(_ANNOUNCED_S)
+        try:
+            yield
+        finally:
+            token.undeclare()  # type: ignore[no-untyped-call]
 
     def _known_at(self, begin_ns: int) -> list[Entry]:
         """What is latched when it begins: said before, or else soon after, as a recorder that comes late hears it."""
