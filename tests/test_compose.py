@@ -203,7 +203,8 @@ def test_nobody_in_an_image_can_become_another_compile_or_replace_a_program(comp
     assert found("find / -xdev -type f -perm /6000 2>/dev/null; true") == []
     assert found("for each in gcc g++ cc clang rustc cargo; do command -v $each; done; true") == []
     writable = "-perm -o+w -o -user armsight"
-    kept = "-path /proc -o -path /sys -o -path /dev -o -path /tmp -o -path /var/tmp -o -path /run/lock"
+    temporary = ("/proc", "/sys", "/dev", "/tmp", "/var/tmp", "/run/lock", "/recordings")  # noqa: S108
+    kept = " -o ".join(f"-path {path}" for path in temporary)
     assert found(f"find / \\( {kept} \\) -prune -o ! -type l \\( {writable} \\) -print 2>/dev/null; true") == []
     assert found("command -v python3 || command -v armsight-vision") != [], "the look inside does find things"
 
@@ -213,3 +214,53 @@ def test_no_container_runs_as_root_or_can_write_to_its_image(compose: Compose) -
         assert compose("exec", "-T", service, "id", "-u").strip() == "10001", service
         write = compose.run("exec", "-T", service, "touch", "/usr/local/file")
         assert write.returncode != 0, service
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(compose: Compose, tmp_path: Path) -> None:
+    small = tmp_path / "small.yml"
+    small.write_text(
+        "volumes: {recordings: {driver_opts: {type: tmpfs, device: tmpfs, o: 'size=8m,mode=1777'}}}\n", encoding="ascii"
+    )
+    words = ("--file", "docker-compose.yml", "--file", str(small), "--profile", "record")
+    holder = f"{PROJECT}-holder"  # what is in memory is gone when nobody has it open
+    compose.wait_until_it_follows(60)
+    try:
+        compose(*words, "run", "--detach", "--no-deps", "--name", holder, "recorder", "sleep", "600")
+        compose(*words, "up", "--detach", "--no-deps", "recorder")
+        deadline = time.monotonic() + 240
+        while "No space left on device" not in (said := compose(*words, "logs", "recorder")):
+            assert time.monotonic() < deadline, said
+            time.sleep(1.0)
+        assert "can't go on writing" in said
+        status = compose.wait_until_it_follows(10)
+        assert {s["name"]: s["status"] for s in status["services"]}["control"] == "ok"
+        found = docker("exec", holder, "sh", "-c", "ls /recordings/*.mcap").split()
+        info = json.loads(docker("exec", holder, "armsight", "recording", "info", "--json", found[0]))
+        assert info["complete"], info["troubles"]
+        assert info["lost"] == 0
+        assert info["keys"]["camera/1/image"]["count"] > 30
+        assert info["bytes"] > 4_000_000
+        assert info["notes"]["armsight end"]["why"] == "no room"
+    finally:
+        compose(*words, "rm", "--stop", "--force", "recorder")
+        subprocess.run(["docker", "rm", "--force", holder], capture_output=True, timeout=UP_S, check=False)
+        subprocess.run(
+            ["docker", "volume", "rm", f"{PROJECT}_recordings"], capture_output=True, timeout=UP_S, check=False
+        )
+
+
+def test_the_recorder_is_well_and_what_it_recorded_stays(compose: Compose) -> None:
+    words = ("--profile", "record")
+    compose.wait_until_it_follows(60)
+    try:
+        compose(*words, "up", "--detach", "--wait")
+        time.sleep(5.0)
+        assert "recorder" in {service["name"] for service in compose.status()["services"]}
+        compose(*words, "stop", "recorder")
+        read = "armsight recording info --json /recordings/*.mcap"
+        info = json.loads(compose(*words, "run", "--rm", "--no-deps", "recorder", "sh", "-c", read))
+        assert info["complete"], info["troubles"]
+        assert info["lost"] == 0
+        assert info["messages"] > 100
+    finally:
+        compose(*words, "rm", "--stop", "--force", "recorder")

@@ -118,7 +118,7 @@ def test_certificates_that_compose_makes_are_those_that_it_mounts(tmp_path: Path
         main(command[1:])
     assert not ended.value.code
     folder = Folder(tmp_path)
-    assert set(folder.names()) == set(BUS)
+    assert set(folder.names()) == {*BUS, "recorder"}
     router = next(entry for entry in folder.entries() if entry.name == "router")
     assert {"router", "127.0.0.1"} <= set(router.hosts)  # as services and as its own health check call it
     for name in BUS[1:]:
@@ -126,3 +126,19 @@ def test_certificates_that_compose_makes_are_those_that_it_mounts(tmp_path: Path
         assert '"namespace": "robots/left"' in text
         assert "tls/router:7447" in text
     assert "tls/0.0.0.0:7447" in (tmp_path / "router" / CONFIGURATION).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("files", [(BASE,), (BASE, SECURE)], ids=["plain", "secure"])
+def test_a_recorder_is_as_confined_as_the_others_and_asked_for_its_health(files: tuple[str, ...]) -> None:
+    every = services(*files, profile="record")
+    assert set(every) == {*BUS, "recorder"}
+    recorder, operator = every["recorder"], every["operator"]
+    for said in ("image", "environment", "mem_limit", "cpus", "pids_limit", "read_only", "cap_drop", "security_opt"):
+        assert recorder[said] == operator[said], said
+    assert "ports" not in recorder
+    assert recorder["healthcheck"]["test"] == ["CMD", "armsight", "record", "--health"]
+    assert recorder["restart"] == "on-failure:3", "a full disk stays full"
+    writable = [volume for volume in recorder["volumes"] if not volume.get("read_only")]
+    assert [(volume["source"], volume["target"]) for volume in writable] == [("recordings", "/recordings")]
+    own = [volume["source"] for volume in recorder["volumes"] if volume.get("read_only")]
+    assert own == ([str(ROOT / "certs" / "recorder")] if SECURE in files else [])

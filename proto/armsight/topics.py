@@ -38,9 +38,12 @@ Response = TypeVar("Response", bound=Message)
 Delivery = Literal["latched", "drop", "block"]
 
 SERVICES = ("sim", "vision", "control")
-"""The services of the loop, in the order in which data pass them: what the table calls "each"."""
+"""The services of the loop, in the order in which data pass them."""
 
-WHO = (*SERVICES, "operator", "viewer")
+EACH = (*SERVICES, "recorder")
+"""Those that have a health of their own: what the table calls "each"."""
+
+WHO = (*EACH, "operator", "viewer")
 """Everybody to whom the table gives rights."""
 
 

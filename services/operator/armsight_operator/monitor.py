@@ -83,7 +83,9 @@ class Monitor:
         """What is known now."""
         now = time.monotonic()
         with self._lock:
-            names = [*SERVICES, *sorted(set(self._health) - set(SERVICES))]
+            # whoever else is there may leave again: silence of a recorder is no trouble
+            others = {name for name, health in self._health.items() if now - health.received_s <= _STALE_S}
+            names = [*SERVICES, *sorted(others - set(SERVICES))]
             services = tuple(_service_state(name, self._health.get(name), now) for name in names)
             fresh = self._status is not None and now - self._status.received_s < _STALE_S
             status = self._status.message if fresh and self._status is not None else ControlStatus()

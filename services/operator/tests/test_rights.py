@@ -13,7 +13,7 @@ from armsight import topics
 from armsight.bus import Bus
 from armsight.errors import NoReplyError, RefusedError
 from armsight.session import DEFAULT_NAMESPACE, zenoh_settings
-from armsight.topics import QUERIES, SERVICES, TOPICS, WHO, Query, Topic
+from armsight.topics import EACH, QUERIES, TOPICS, WHO, Query, Topic
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest, StopResponse, StopState
 from armsight_operator.certs.configuration import access_control
 from armsight_operator.certs.rights import rights
@@ -50,14 +50,14 @@ def places(secure: SecureBus) -> Iterator[Callable[[str], Bus]]:
 
 def names(who: tuple[str, ...]) -> set[str]:
     """The roles that a column of the table stands for."""
-    return set(who) - {"each"} | (set(SERVICES) if "each" in who else set())
+    return set(who) - {"each"} | (set(EACH) if "each" in who else set())
 
 
 def a_name(key: str, who: tuple[str, ...], role: str) -> str | None:
     """Something for {name}: one's own where the column says each."""
     if "{name}" not in key:
         return None
-    return role if "each" in who and role in SERVICES else "vision" if key.startswith(("health", "{name}")) else "1"
+    return role if "each" in who and role in EACH else "vision" if key.startswith(("health", "{name}")) else "1"
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:
@@ -183,7 +183,7 @@ def test_only_callers_of_a_query_are_answered(places: Callable[[str], Bus], quer
         else:
             answered.add(role)
     # one of "each" may ask of itself alone
-    assert answered == names(query.callers) - (set(SERVICES) - {server} if "each" in query.callers else set())
+    assert answered == names(query.callers) - (set(EACH) - {server} if "each" in query.callers else set())
 
 
 @pytest.mark.parametrize("query", QUERIES, ids=lambda query: query.name)

@@ -7,7 +7,7 @@ session is ``ingress``, what goes out to it ``egress``. What the table doesn't n
 from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
-from armsight.topics import QUERIES, SERVICES, TOPICS, Query, Topic
+from armsight.topics import EACH, QUERIES, TOPICS, Query, Topic
 
 Flow = Literal["ingress", "egress"]
 Right = tuple[Flow, str]
@@ -84,7 +84,7 @@ def _of_query(role: str, query: Query[Any, Any]) -> Iterator[tuple[Flow, str, st
 
 
 def _is_one_of(role: str, who: tuple[str, ...]) -> bool:
-    return role in who or ("each" in who and role in SERVICES)
+    return role in who or ("each" in who and role in EACH)
 
 
 def _key(role: str, key: str, who: tuple[str, ...]) -> str:

@@ -11,7 +11,22 @@ from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from armsight_operator.cli import certs, motion, params, router, snapshot, status, stop, topics, up
+from armsight_operator.cli import (
+    bridge,
+    certs,
+    export,
+    motion,
+    params,
+    record,
+    recording,
+    replay,
+    router,
+    snapshot,
+    status,
+    stop,
+    topics,
+    up,
+)
 
 REFUSED = 1
 """Exit code: a service refused, or nobody answered."""
@@ -83,6 +98,11 @@ app.command("reset", context_settings=NEGATIVE_NUMBERS)(motion.reset)
 app.add_typer(topics.app, name="topics")
 app.add_typer(params.app, name="params")
 app.command("snapshot")(snapshot.snapshot)
+app.command("record")(record.record)
+app.add_typer(recording.app, name="recording")
+app.command("replay")(replay.replay)
+app.command("export")(export.export)
+app.add_typer(bridge.app, name="bridge")
 app.command("router")(router.router)
 app.add_typer(certs.app, name="certs")
 

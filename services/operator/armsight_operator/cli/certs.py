@@ -40,7 +40,8 @@ def make(
         typer.Option(
             "--name",
             metavar="NAME=ROLE",
-            help="Somebody else with a certificate, may be given again; roles: sim, vision, control, operator, viewer.",
+            help="Somebody else with a certificate, may be given again; roles: sim, vision, control, recorder, "
+            "operator, viewer.",
             show_default=False,
         ),
     ] = None,
@@ -70,7 +71,7 @@ def make(
     """
     from armsight.errors import ConfigError
     from armsight.session import DEFAULT_NAMESPACE, SessionConfig
-    from armsight.topics import SERVICES
+    from armsight.topics import EACH
     from armsight_operator.certs import folder as certificates
     from armsight_operator.certs.configuration import configurations
     from armsight_operator.certs.layout import CONFIGURATION, ROUTER
@@ -81,7 +82,7 @@ def make(
     if wrong := [endpoint for endpoint in (listen, connect) if not endpoint.startswith(("tls/", "quic/"))]:
         raise ConfigError(f"endpoint {wrong[0]!r} has no certificates: it is tls/HOST:PORT")
     bearers = {ROUTER: ROUTER}
-    bearers |= {role: role for role in (*SERVICES, "operator")}
+    bearers |= {role: role for role in (*EACH, "operator")}
     bearers |= dict(_name_and_role(text) for text in name or ())
     files = certificates.Folder(folder)
     done = files.make(bearers, (*_HOSTS, *(host or ())), days, ca_days)
