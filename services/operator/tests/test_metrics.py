@@ -8,6 +8,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from prometheus_client.openmetrics.exposition import generate_latest
@@ -28,6 +29,7 @@ from armsight_operator.metrics.counted import Meaning, meaning
 from armsight_operator.metrics.server import check_host
 from armsight_operator.metrics.totals import Totals
 from armsight_operator.metrics.watch import MOST_NAMES, MOST_SERVICES
+from secure_bus import SecureBus
 
 Samples = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
@@ -292,3 +294,20 @@ def test_it_serves_and_ends_where_there_is_no_router() -> None:
         assert get(url.replace("/metrics", "/healthz"))[0] == 503
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=2) == 0
+
+
+def test_with_certificates_whoever_may_look_may_serve_metrics(tmp_path: Path) -> None:
+    secure = SecureBus(tmp_path)
+    secure.start_router()
+    try:
+        watch = Watch()
+        watch.listen(secure.bus("viewer"))
+        publisher = secure.bus("sim").publisher(topics.HEALTH, "sim")
+        until = time.monotonic() + 10
+        while of(scraped(watch), "service_up", service="sim") != 1.0:
+            assert time.monotonic() < until
+            publisher.put(Health(service="sim", status=HEALTH_STATUS_OK, instance="a"))
+            time.sleep(0.05)
+        assert of(scraped(watch), "bus_connected") == 1.0
+    finally:
+        secure.close()

@@ -11,7 +11,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from armsight_operator.cli import certs, metrics, motion, router, snapshot, status, stop, topics, trace, up
+from armsight_operator.cli import certs, doctor, metrics, motion, router, snapshot, status, stop, topics, trace, up
 
 REFUSED = 1
 """Exit code: a service refused, or nobody answered."""
@@ -82,6 +82,7 @@ app.command("release")(stop.release)
 app.command("reset", context_settings=NEGATIVE_NUMBERS)(motion.reset)
 app.add_typer(topics.app, name="topics")
 app.command("metrics")(metrics.metrics)
+app.command("doctor")(doctor.doctor)
 app.command("trace")(trace.trace)
 app.command("snapshot")(snapshot.snapshot)
 app.command("router")(router.router)

@@ -27,7 +27,11 @@ MOST_SERVICES = 16
 MOST_NAMES = 128
 """Of counters and gauges of one service."""
 
+_LONGEST_NAME = 64
+_LONGEST_DETAIL = 500
+
 _KEEP = 64
+"""Messages that wait: lockstep makes hundreds a second."""
 _FRESH_S = 2.5
 
 _OF_VISION = tuple(stage for stage in STAGES if stage.end.startswith("vision_") and not stage.heard)
@@ -154,15 +158,15 @@ class Watch:
                 self._ignored["service_name"] += 1
                 return
             service = self._services.setdefault(name, _Service())
-            if service.instance and health.instance != service.instance:
-                service.restarts += 1
-            service.instance = health.instance[:64]
+            instance = health.instance[:_LONGEST_NAME]
+            service.restarts += bool(service.instance) and instance != service.instance
+            service.instance = instance
             counters = self._bounded(service, health.counters, "counter_name")
             gauges = self._bounded(service, health.gauges, "gauge_name")
             finite = {key: value for key, value in gauges.items() if math.isfinite(value)}
             self._ignored["gauge_value"] += len(gauges) - len(finite)
             grown = {key: value for key in TOTALS_AMONG_GAUGES if (value := finite.pop(key, -1.0)) >= 0}
-            service.totals.take(service.instance, {key: float(value) for key, value in counters.items()} | grown)
+            service.totals.take(instance, {key: float(value) for key, value in counters.items()} | grown)
             service.received = Received(_kept(health, finite), received.key, name, received.received_s)
 
     def take_positions(self, received: Received[JointPositions]) -> None:
@@ -205,7 +209,13 @@ class Watch:
 
 def _kept(health: Health, gauges: Mapping[str, float]) -> Health:
     """What is shown of a message, and no more of what somebody may have sent."""
-    return Health(status=health.status, started=health.started, version=health.version[:64], instance="", gauges=gauges)
+    return Health(
+        status=health.status,
+        detail=health.detail[:_LONGEST_DETAIL],
+        started=health.started,
+        version=health.version[:_LONGEST_NAME],
+        gauges=gauges,
+    )
 
 
 def _seen(name: str, service: _Service, now: float) -> Seen:
