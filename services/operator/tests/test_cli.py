@@ -204,3 +204,17 @@ def test_an_endpoint_that_is_none_is_a_mistake_of_the_command_line(capsys: pytes
         main(["status", "--connect", "nowhere"])
     assert ended.value.code == 2
     assert "nowhere" in capsys.readouterr().err
+
+
+def test_programs_get_json_of_topics(command: Command, arm: FakeArm, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["topics", "list", "--json"])
+    listed = {one["key"]: one for one in json.loads(capsys.readouterr().out)}
+    assert listed["joints/command"]["publishers"] == ["control"]
+    assert listed["joints/command"]["message"] == "armsight.v1.JointCommand"
+    with saying(arm.say_status):
+        code, out, _ = command("topics", "rate", "control/status", "--seconds", "1", "--json")
+    told = json.loads(out)
+    assert (code, told["key"]) == (0, "control/status")
+    assert told["messages"] == told["rate_hz"]
+    assert told["mean_bytes"] > 10

@@ -59,7 +59,6 @@ app = typer.Typer(
     cls=Commands,
     help="Watch a robot arm through two cameras, and move it.",
     no_args_is_help=True,
-    add_completion=False,
     # Plain text: quick to show, and the same in a pipe.
     rich_markup_mode=None,
     pretty_exceptions_enable=False,

@@ -44,7 +44,10 @@ def report(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Measure the whole pipeline against the truth: tables, plots."""
+    """Measure the whole pipeline against the truth: tables, plots.
+
+    Example: armsight report --quick --out report-out
+    """
     if samples not in (0, 4):
         raise typer.BadParameter("0 or 4", param_hint="--samples")
     if marker_light not in ("lit", "emissive"):
