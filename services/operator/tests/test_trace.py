@@ -1,6 +1,9 @@
 """Stamps to spans, statistics and pictures, without a bus; and the command on one."""
 
 import json
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -193,6 +196,22 @@ def test_the_command_ends_after_so_many_frames(command: Command, make_bus: Calla
     spans = [event for event in json.loads(file.read_text())["traceEvents"] if event["ph"] == "X"]
     assert len(spans) >= 5 * 4
     assert summary_as_dict(Statistics())["frames"] == 0
+
+
+def test_sigterm_ends_it_with_what_was_seen(endpoint: str, make_bus: Callable[[], Bus]) -> None:
+    bus, number = make_bus(), iter(range(1, 100_000))
+    status = bus.publisher(topics.CONTROL_STATUS)
+    words = [sys.executable, "-c", "from armsight_operator.cli.app import main; main()", "trace", "--connect", endpoint]
+    with saying(lambda: status.put(ControlStatus(capture_time=to_timestamp(next(number)), stages=StageTimes(**AT)))):
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        assert "frame_to_command 5.00" in process.stdout.readline()
+        began = time.monotonic()
+        process.terminate()
+        out, _ = process.communicate(timeout=10)
+        assert time.monotonic() - began < 2.0
+    assert process.returncode == 0
+    assert "frames, p50 in ms" in out.splitlines()[-1]
 
 
 def test_silence_and_a_file_that_cannot_be_written_are_said(

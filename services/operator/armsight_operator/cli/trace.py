@@ -54,15 +54,12 @@ def trace(
     from armsight_operator.trace.show import frame_as_json, frame_as_line, summary_as_dict, summary_as_line
 
     config = configuration(connect, namespace, zenoh_config)
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
     statistics = Statistics()
     kept: deque[Frame] = deque(maxlen=_MOST_FRAMES if chrome is not None else 1)
     if chrome is not None:
         _check_writable(chrome)
     in_terminal = sys.stdout.isatty() and not as_json
-    source = _frames(config, frames, stop)
+    source = _frames(config, frames)
     if in_terminal:
         _draw(source, statistics, kept)
     else:
@@ -80,11 +77,14 @@ def trace(
         print(f"{len(kept)} frames in {chrome}", file=sys.stderr)
 
 
-def _frames(config: "SessionConfig", count: int, stop: threading.Event) -> "Iterator[Frame]":
+def _frames(config: "SessionConfig", count: int) -> "Iterator[Frame]":
     from armsight_operator.cli.bus import connected
     from armsight_operator.trace.listen import Listener
 
+    stop = threading.Event()
     with connected(config) as bus:
+        for number in (signal.SIGTERM, signal.SIGINT):  # only now: nothing is waiting for a router any more
+            signal.signal(number, lambda *_: stop.set())
         listener, given, silent_s = Listener(bus), 0, 0.0
         while not stop.is_set() and (count == 0 or given < count):
             frame = listener.get(_POLL_S)

@@ -1,5 +1,6 @@
 """All checks in order: what was found out goes into pure functions, what they say comes out."""
 
+import os
 import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +13,7 @@ from armsight_operator.doctor import facts, machine, network, software
 from armsight_operator.doctor.finding import Finding
 from armsight_operator.errors import MissingExecutableError
 from armsight_operator.exposure import is_local
-from armsight_operator.stack.executables import find_executable, repository_root
+from armsight_operator.stack.executables import VISION_VARIABLE, find_executable, repository_root
 
 _HELP_S = 10.0
 
@@ -66,9 +67,10 @@ def _vision() -> tuple[Finding, str]:
     try:
         executable = find_executable("vision")
     except MissingExecutableError as error:
-        return software.vision("", str(error), None), ""
+        expected = VISION_VARIABLE in os.environ or (repository_root() / "services" / "vision_cpp").is_dir()
+        return software.vision("", str(error), None, expected=expected), ""
     answer = facts.ask([str(executable), "--help"], _HELP_S)
-    return software.vision(str(executable), "", answer), facts.zenoh_of(executable)
+    return software.vision(str(executable), "", answer, expected=True), facts.zenoh_of(executable)
 
 
 def _ports(heard: network.BusFacts, ports: Mapping[int, str]) -> list[Finding]:

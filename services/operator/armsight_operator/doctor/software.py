@@ -75,14 +75,17 @@ class Answer:
         return lines[-1][:200] if lines else "it did not end in time" if self.code is None else f"exit code {self.code}"
 
 
-def vision(executable: str, missing: str, answer: Answer | None) -> Finding:
+def vision(executable: str, missing: str, answer: Answer | None, *, expected: bool) -> Finding:
     """Whether vision is there and runs here.
 
     Args:
         executable: where it is; empty where it is not.
         missing: why not.
         answer: to --help.
+        expected: whether it should be here, as in a source tree; the operator's image has none.
     """
+    if answer is None and not expected:
+        return info("vision", "vision is not installed here", "only where vision runs it is needed")
     if answer is None:
         return broken("vision", missing, "run `make setup`, or say where it is with ARMSIGHT_VISION")
     if answer.code != 0:
