@@ -28,7 +28,8 @@ DEFAULT_NAMESPACE = "robots/arm"
 # Three pairs of 800x800 rgb8 frames do not fit, three frames do: every process that maps the pool must lock it, and the
 # usual limit is 8 MiB.
 SHARED_MEMORY_POOL_BYTES = 6 * 1024 * 1024
-_SHARED_MEMORY_LOCK_BYTES = SHARED_MEMORY_POOL_BYTES + 3 * 512 * 1024
+SHARED_MEMORY_LOCK_BYTES = SHARED_MEMORY_POOL_BYTES + 3 * 512 * 1024
+"""Of memory that each process on the way of the frames must be allowed to lock."""
 _SHARED_MEMORY_THRESHOLD_BYTES = 65536
 _CAP_IPC_LOCK = 14
 
@@ -210,11 +211,11 @@ def _log_to_stderr() -> None:
 
 
 def _put_shared_memory(put, wanted: str) -> None:  # type: ignore[no-untyped-def]
-    allowed = wanted != "off" and _may_lock(_SHARED_MEMORY_LOCK_BYTES)
+    allowed = wanted != "off" and may_lock(SHARED_MEMORY_LOCK_BYTES)
     if wanted != "off" and not allowed:
         log.warning(
             "no shared memory: this process may lock less than %d bytes; raise `ulimit -l` to use it",
-            _SHARED_MEMORY_LOCK_BYTES,
+            SHARED_MEMORY_LOCK_BYTES,
         )
     put("transport/shared_memory/enabled", allowed)
     if allowed and wanted == "publish":
@@ -228,7 +229,8 @@ def _put_shared_memory(put, wanted: str) -> None:  # type: ignore[no-untyped-def
         put("transport/shared_memory/transport_optimization/enabled", False)
 
 
-def _may_lock(size: int) -> bool:
+def may_lock(size: int) -> bool:
+    """Whether this process may lock so many bytes of memory."""
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     return soft == resource.RLIM_INFINITY or soft >= size or _has_capability(_CAP_IPC_LOCK)
 

@@ -255,3 +255,17 @@ def test_params_that_cannot_be_meant_are_refused_before_anything_is_set(command:
     code, _, err = command("params", "get", "*", "speed")
     assert code == 2
     assert "'*' is not the name of a service" in err
+
+
+def test_programs_get_json_of_topics(command: Command, arm: FakeArm, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["topics", "list", "--json"])
+    listed = {one["key"]: one for one in json.loads(capsys.readouterr().out)}
+    assert listed["joints/command"]["publishers"] == ["control"]
+    assert listed["joints/command"]["message"] == "armsight.v1.JointCommand"
+    with saying(arm.say_status):
+        code, out, _ = command("topics", "rate", "control/status", "--seconds", "1", "--json")
+    told = json.loads(out)
+    assert (code, told["key"]) == (0, "control/status")
+    assert told["messages"] == told["rate_hz"]
+    assert told["mean_bytes"] > 10

@@ -18,7 +18,7 @@ from google.protobuf.message import DecodeError, Message
 from armsight.bus import Bus, Received, Sample
 from armsight.errors import ArmsightError
 from armsight.schema import descriptor_set
-from armsight.topics import DESCRIPTION, EACH, ASK_PARAMETERS, SERVICES, TARGET, TOPICS, Topic, encoding_of
+from armsight.topics import ASK_PARAMETERS, DESCRIPTION, EACH, SERVICES, TARGET, TOPICS, Topic, encoding_of
 from armsight.v1.description_pb2 import ArmDescription
 from armsight_operator.bridge.demand import Demand
 from armsight_operator.bridge.parameters import flattened

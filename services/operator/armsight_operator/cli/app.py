@@ -14,7 +14,9 @@ from typer.main import get_command
 from armsight_operator.cli import (
     bridge,
     certs,
+    doctor,
     export,
+    metrics,
     motion,
     params,
     record,
@@ -25,6 +27,7 @@ from armsight_operator.cli import (
     status,
     stop,
     topics,
+    trace,
     up,
 )
 
@@ -74,7 +77,6 @@ app = typer.Typer(
     cls=Commands,
     help="Watch a robot arm through two cameras, and move it.",
     no_args_is_help=True,
-    add_completion=False,
     # Plain text: quick to show, and the same in a pipe.
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -97,6 +99,9 @@ app.command("release")(stop.release)
 app.command("reset", context_settings=NEGATIVE_NUMBERS)(motion.reset)
 app.add_typer(topics.app, name="topics")
 app.add_typer(params.app, name="params")
+app.command("metrics")(metrics.metrics)
+app.command("doctor")(doctor.doctor)
+app.command("trace")(trace.trace)
 app.command("snapshot")(snapshot.snapshot)
 app.command("record")(record.record)
 app.add_typer(recording.app, name="recording")

@@ -68,6 +68,8 @@ def make(
 
     Keys and certificates that are there are kept: run it again to add somebody, or after an update brought new keys of
     the bus. Configurations are written anew each time, as the flags say.
+
+    Example: armsight certs make --name wall=viewer
     """
     from armsight.errors import ConfigError
     from armsight.session import DEFAULT_NAMESPACE, SessionConfig
@@ -110,6 +112,8 @@ def renew(
     """Sign new certificates by the same authority; keys, names and rights stay.
 
     Services take theirs when they next connect, the router when it starts again: restart it before its old one expires.
+
+    Example: armsight certs renew router --host robot.local
     """
     from armsight_operator.certs import folder as certificates
     from armsight_operator.certs.layout import ROUTER
@@ -123,7 +127,10 @@ def renew(
 
 @app.command()
 def show(folder: Folder = Path("certs")) -> None:
-    """Show every certificate with its expiry. Exit code 1 where one can't be used, or expires in less than 14 days."""
+    """Show every certificate with its expiry. Exit code 1 where one can't be used, or expires in less than 14 days.
+
+    Example: armsight certs show --folder certs
+    """
     from rich.console import Console
     from rich.table import Table
 

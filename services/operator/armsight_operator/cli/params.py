@@ -29,7 +29,10 @@ def list_parameters(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """List every parameter with its value, its bounds and what it does."""
+    """List every parameter with its value, its bounds and what it does.
+
+    Example: armsight params list control
+    """
     from armsight.errors import NoReplyError
     from armsight.topics import SERVICES
     from armsight_operator.cli.bus import configuration, connected
@@ -59,7 +62,10 @@ def get_parameter(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Print the value of one parameter."""
+    """Print the value of one parameter.
+
+    Example: armsight params get control speed
+    """
     from armsight_operator.cli.bus import configuration, connected
 
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
@@ -74,7 +80,10 @@ def set_parameters(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Set parameters, e.g. `armsight params set control speed=0.1 solver=closed-form`, until the service ends."""
+    """Set parameters, all of them or none, until the service ends.
+
+    Example: armsight params set control speed=0.1
+    """
     from armsight import topics
     from armsight.v1.parameters_pb2 import SetParametersRequest
     from armsight_operator.cli.bus import configuration, connected

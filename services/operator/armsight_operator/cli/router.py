@@ -45,6 +45,8 @@ def router(
     """Run the router that every service connects to, until SIGTERM or Ctrl-C.
 
     Without certificates (`armsight certs make`) it listens on this machine alone, unless --insecure-bind is given.
+
+    Example: armsight router --listen tcp/127.0.0.1:7447
     """
     from armsight_operator.cli.bus import configuration
     from armsight_operator.exposure import check_exposure, reachable_from_here

@@ -19,7 +19,10 @@ def stop(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Stop the arm: it decelerates and holds until `armsight release`."""
+    """Stop the arm: it decelerates and holds until `armsight release`.
+
+    Example: armsight stop --reason "somebody is in the way"
+    """
     from armsight import topics
     from armsight.v1.safety_pb2 import STOP_ACTION_STOP, StopRequest
     from armsight_operator.cli.bus import configuration, connected
@@ -36,7 +39,10 @@ def release(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Take a stop back. Other sources that stopped the arm keep it stopped."""
+    """Take a stop back. Other sources that stopped the arm keep it stopped.
+
+    Example: armsight release --source door
+    """
     from armsight import topics
     from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, StopRequest
     from armsight_operator.cli.bus import configuration, connected

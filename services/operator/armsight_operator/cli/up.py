@@ -41,7 +41,10 @@ def up(
     ] = None,
     restart: Annotated[bool, typer.Option(help="Start a service again that died.")] = True,
 ) -> None:
-    """Run the full stack on this machine: router, sim, vision and control. Ctrl-C stops all of it."""
+    """Run the full stack on this machine: router, sim, vision and control. Ctrl-C stops all of it.
+
+    Example: armsight up --target visible --mode follow
+    """
     from armsight_operator.stack import Stack, Supervisor
 
     stop = threading.Event()

@@ -18,12 +18,12 @@ from armsight.bus import Bus, Publisher, Subscriber
 from armsight.errors import ConfigError, NoReplyError
 from armsight.times import from_timestamp, wall_ns
 from armsight.topics import (
+    ASK_PARAMETERS,
     CAMERA_IMAGE,
     HEALTH,
     JOINT_COMMAND,
     JOINT_POSITIONS,
     JOINTS_ACCEPTED,
-    ASK_PARAMETERS,
     STOP_STATE,
     TOPICS,
     WHO,
