@@ -194,6 +194,31 @@ def test_command_makes_what_zenoh_reads(certs: Certs, tmp_path: Path) -> None:
     assert "robots/arm/" not in router
 
 
+def test_command_makes_another_router_that_speaks_for_those_behind_it(certs: Certs, tmp_path: Path) -> None:
+    code, _, _ = certs("make", "--router", "edge=sim,vision")
+    assert code == 0
+
+    def may_put(router: str, other: str) -> set[str]:
+        text = (tmp_path / "certs" / router / "zenoh.json5").read_text(encoding="utf-8")
+        control = json.loads(text.split("\n", 2)[2])["access_control"]
+        (subject,) = (subject for subject in control["subjects"] if other in subject["cert_common_names"])
+        (policy,) = (policy for policy in control["policies"] if subject["id"] in policy["subjects"])
+        rules = [rule for rule in control["rules"] if rule["id"] in policy["rules"]]
+        puts = [rule["key_exprs"] for rule in rules if rule["flows"] == ["ingress"] and rule["messages"] == ["put"]]
+        return {key.removeprefix("robots/arm/") for keys in puts for key in keys}
+
+    behind = may_put("router", "edge")
+    assert {"camera/*/image", "joints/positions", "health/sim", "health/vision"} <= behind
+    assert not {"joints/command", "health/control"} & behind
+    assert {"joints/command", "target", "health/control"} <= may_put("edge", "router")
+    # the rights of everybody else on either are the same
+    assert may_put("edge", "vision") == may_put("router", "vision") < behind
+    # said again each time, as its rules are written anew each time
+    code, _, error = certs("make")
+    assert code == 1
+    assert "--router edge=sim,vision" in error
+
+
 def test_command_shows_and_warns(certs: Certs, tmp_path: Path) -> None:
     certs("make", "--days", "30")
     code, out, _ = certs("show")
@@ -223,6 +248,8 @@ def test_command_shows_and_warns(certs: Certs, tmp_path: Path) -> None:
         (["make", "--connect", "nowhere"], 2, "nowhere"),
         (["make", "--namespace", "a//b"], 2, "a//b"),
         (["make", "--days", "0"], 2, "--days"),
+        (["make", "--router", "edge"], 2, "NAME=ROLE,ROLE"),
+        (["make", "--router", "edge=king"], 1, "can't speak for king"),
     ],
 )
 def test_mistakes_end_with_one_line(certs: Certs, words: list[str], code: int, reason: str) -> None:
