@@ -109,8 +109,16 @@ def certify(folder: Folder, name: str, signer: Path, expires: datetime) -> None:
     ca = Folder(signer)._authority()
     file = folder.path / name / CERTIFICATE
     old = x509.load_pem_x509_certificate(file.read_bytes())
-    key, hosts, begins = old.public_key(), authority.hosts_of(old), expires - timedelta(days=1)
-    made = authority.sign(ca, key, name, authority.role_of(old), hosts, days=1, now=begins)  # type: ignore[arg-type]
+    made = authority.sign(
+        ca,
+        old.public_key(),  # type: ignore[arg-type]
+        name,
+        authority.role_of(old),
+        authority.hosts_of(old),
+        days=1,
+        now=expires - timedelta(days=1),
+        serves=authority.role_of(old) == ROUTER,
+    )
     file.write_bytes(made.public_bytes(serialization.Encoding.PEM))
 
 

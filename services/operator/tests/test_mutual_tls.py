@@ -12,10 +12,13 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives import serialization
 
 from armsight import topics
 from armsight.errors import ConfigError
 from armsight.session import SessionConfig, open_session, refusal, zenoh_settings
+from armsight_operator.certs import authority
+from armsight_operator.certs.folder import Folder
 from armsight_operator.cli.app import main
 from secure_bus import HOST, SecureBus, an_hour_ago, certify, gets_in
 
@@ -102,14 +105,26 @@ def test_expired_router_is_not_joined(secure: SecureBus) -> None:
     assert "the router's certificate has expired" in refusal(secure.config("operator"))
 
 
-def test_service_certificate_does_not_pass_for_the_routers(secure: SecureBus) -> None:
-    # somebody with sim's key listens where the router should
-    for file in ("key.pem", "certificate.pem"):
-        (secure.folder.path / "router" / file).write_bytes((secure.folder.path / "sim" / file).read_bytes())
+def test_router_of_another_host_is_not_joined(secure: SecureBus) -> None:
+    other = Folder(secure.folder.path)
+    (other.path / "router/certificate.pem").unlink()
+    other.make({"router": "router"}, ["elsewhere.local"], days=1, ca_days=1)
     secure.start_router()
     assert not gets_in(secure.config("operator"))
-    error = refusal(secure.config("operator"))
-    assert f"the router's certificate is not for {HOST}" in error
+    assert f"the router's certificate is not for {HOST}" in refusal(secure.config("operator"))
+
+
+@pytest.mark.parametrize("bearer", ["sim", HOST])
+def test_service_certificate_does_not_pass_for_the_routers(secure: SecureBus, bearer: str) -> None:
+    # somebody with sim's key listens where the router should, or with a key whose bearer is named as the router's host
+    ca = secure.folder._authority()
+    key = authority.make_key()
+    made = authority.sign(ca, key.public_key(), bearer, "sim", [bearer], days=1)
+    (secure.folder.path / "router/key.pem").write_bytes(authority.to_pem(key))
+    (secure.folder.path / "router/certificate.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    secure.start_router()
+    assert not gets_in(secure.config("operator"))
+    assert f"what listens at {HOST} has no router's certificate" in refusal(secure.config("operator"))
 
 
 def test_router_without_tls_is_told_from_one_that_is_not_there(

@@ -97,7 +97,7 @@ def make(
     bearers |= dict.fromkeys(routers, ROUTER)
     files = certificates.Folder(folder)
     check_routers({**files.roles(), **bearers}, routers)
-    done = files.make(bearers, (*_HOSTS, *(host or ())), days, ca_days)
+    done = files.make(bearers, _HOSTS, days, ca_days, tuple(host or ()))
     texts = configurations(files.roles(), [listen], [connect], namespaces, routers)
     for bearer, text in texts.items():
         files.write_configuration(bearer, text)
