@@ -96,8 +96,9 @@ def test_nobody_without_a_certificate_or_with_anothers_does_anything(secure: Com
     code, said = as_bearer(secure, certificates.path / "vision", "armsight", "mode", "hold")
     assert code == 1
     assert "may we ask it" in said
-    code, said = as_bearer(secure, certificates.path / "wall", "armsight", "status")
-    assert code == 0, said
+    # the control run; what its exit code says is how well the services are
+    _, said = as_bearer(secure, certificates.path / "wall", "armsight", "status", "--json")
+    assert '"mode": "track"' in said
     trusting = certificates.path / "trusting"
     trusting.mkdir(exist_ok=True)
     trusting.joinpath("ca.pem").write_bytes((certificates.path / "sim/ca.pem").read_bytes())
