@@ -4,14 +4,20 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from armsight import topics
+from armsight.bus import Bus
+from armsight.session import SessionConfig, open_session
 from armsight_operator.stack import free_port
+from rig import Truth
 
 ROOT = Path(__file__).parents[1]
 PROJECT = "armsight-test"
@@ -24,13 +30,14 @@ pytestmark = [pytest.mark.docker, pytest.mark.timeout(BUILD_S + 300)]
 
 
 class Compose:
-    """The project's compose file, as a user calls it, under a name of its own."""
+    """The project's compose files, as a user calls them, under a name of their own."""
 
-    def __init__(self) -> None:
-        self.environment = os.environ | {"ARMSIGHT_PORT": str(free_port())}
+    def __init__(self, project: str = PROJECT, **environment: str) -> None:
+        self.project = project
+        self.environment = os.environ | {"ARMSIGHT_PORT": str(free_port())} | environment
 
     def run(self, *words: str, timeout_s: float = UP_S) -> subprocess.CompletedProcess[str]:
-        command = ["docker", "compose", "--project-name", PROJECT, *words]
+        command = ["docker", "compose", "--project-name", self.project, *words]
         return subprocess.run(
             command, cwd=ROOT, env=self.environment, capture_output=True, text=True, timeout=timeout_s, check=False
         )
@@ -54,6 +61,33 @@ class Compose:
         while not follows(status := self.status(namespace)):
             assert time.monotonic() < deadline, f"not within {timeout_s:g} s: {status}\n{self('logs', '--tail', '20')}"
         return status
+
+
+class Watch:
+    """What the arm does in truth, from outside of the containers."""
+
+    def __init__(self, port: str) -> None:
+        self.truth = Truth()
+        config = SessionConfig(endpoints=(f"tcp/127.0.0.1:{port}",), shared_memory="off")
+        session = open_session(config, threading.Event())
+        assert session is not None
+        self._bus = Bus(session)
+
+    def __enter__(self) -> "Watch":
+        self._bus.subscriber(topics.JOINTS_TRUE, keep=1000, on_message=self.truth.add)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bus.session.close()  # type: ignore[no-untyped-call]
+
+    def longest_rest_s(self) -> float:
+        """In sim's time, without a sample in which a joint moved by more than a milliradian."""
+        longest, began = 0.0, self.truth.times[0]
+        for (earlier, later), now in zip(pairwise(self.truth.angles), self.truth.times[1:], strict=True):
+            if max(abs(a - b) for a, b in zip(earlier, later, strict=True)) > 1e-3:
+                began = now
+            longest = max(longest, now - began)
+        return longest
 
 
 def follows(status: dict[str, Any]) -> bool:
@@ -81,6 +115,18 @@ def test_the_solvers_run_compiled_though_the_image_has_no_compiler(compose: Comp
     backends, trouble = compose("exec", "-T", "control", "python3", "-c", ask).split("\n")[:2]
     assert trouble == ""
     assert backends.count("compiled") == len(backends.split(", ")) == 4
+
+
+@pytest.mark.parametrize("victims", [(), ("router",), ("sim",), ("vision",), ("control",)], ids=" ".join)
+def test_restart_while_moving_holds_the_arm_and_it_goes_on(compose: Compose, victims: tuple[str, ...]) -> None:
+    compose.wait_until_it_follows(60)
+    with Watch(compose.environment["ARMSIGHT_PORT"]) as watch:
+        compose("restart", "--timeout", "5", *victims)
+        compose("up", "--detach", "--wait")
+        compose.wait_until_it_follows(60)
+    if victims not in ((), ("sim",)):  # another sim is another arm
+        assert watch.longest_rest_s() > 0.3, "the arm did not hold"
+        watch.truth.assert_speed_below(5.0)
 
 
 @pytest.mark.parametrize("victim", ["router", "sim", "vision", "control"])

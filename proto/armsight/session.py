@@ -36,6 +36,8 @@ _CAP_IPC_LOCK = 14
 # Zenoh's own: under load the loss of frames at 30 Hz falls from a tenth to nothing.
 _DATA_LOW_QUEUE = 16
 
+_RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
+
 _HINT_AFTER_ATTEMPTS = 4
 
 _TLS_FILES = (
@@ -57,6 +59,8 @@ class SessionConfig:
     mode: Literal["client", "router"] = "client"
     endpoints: tuple[str, ...] = (DEFAULT_ENDPOINT,)
     """Where a client connects to, where a router listens."""
+    links: tuple[str, ...] = ()
+    """Other routers to which a router connects, and again whenever it loses them."""
     namespace: str = DEFAULT_NAMESPACE
     """Stands before every key; empty for a router, which serves all namespaces."""
     shared_memory: Literal["off", "read", "publish"] = "read"
@@ -66,7 +70,7 @@ class SessionConfig:
 
     def __post_init__(self) -> None:
         """Refuses what Zenoh would refuse later and less clearly."""
-        for endpoint in self.endpoints:
+        for endpoint in (*self.endpoints, *self.links):
             if not _is_endpoint(endpoint):
                 raise ConfigError(f"endpoint {endpoint!r} is not of the form tcp/HOST:PORT")
         if any(
@@ -104,8 +108,8 @@ def session_config(
     connect = arguments.connect or [part for part in os.environ.get("ARMSIGHT_CONNECT", "").split(",") if part]
     namespace = arguments.namespace or os.environ.get("ARMSIGHT_NAMESPACE")
     in_file = _read_file(file) if file else None
-    if not connect and in_file is not None:
-        connect = _endpoints_in(in_file, file)
+    if not connect and file is not None:
+        connect = endpoints_in_file(file, "connect", "client")
     if namespace is None and in_file is not None:
         namespace = json.loads(in_file.get_json("namespace"))
     return SessionConfig(
@@ -114,6 +118,24 @@ def session_config(
         shared_memory="off" if os.environ.get("ARMSIGHT_SHARED_MEMORY") == "off" else shared_memory,
         file=file,
     )
+
+
+def endpoints_in_file(file: Path, which: Literal["connect", "listen"], mode: Literal["client", "router"]) -> list[str]:
+    """The endpoints that a Zenoh configuration names; none where it leaves them to Zenoh.
+
+    Raises:
+        ConfigError: what stands there are none.
+    """
+    path = f"{which}/endpoints"
+    text = _read_file(file).get_json(path)
+    if text == zenoh.Config().get_json(path):  # nothing there: Zenoh would listen on every address
+        return []
+    endpoints = json.loads(text) or []
+    if isinstance(endpoints, dict):  # one list for each mode
+        endpoints = endpoints.get(mode) or []
+    if not isinstance(endpoints, list) or not all(isinstance(endpoint, str) for endpoint in endpoints):
+        raise ConfigError(f"{file}: {path} is not a list of endpoints such as {DEFAULT_ENDPOINT!r}")
+    return endpoints
 
 
 def check_role(config: SessionConfig, service: str) -> None:
@@ -182,12 +204,14 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
     put("transport/link/tx/queue/size/data_low", _DATA_LOW_QUEUE)
     if config.mode == "router":
         put("listen/endpoints", list(config.endpoints))
-        put("connect/endpoints", [])
+        put("connect/endpoints", list(config.links))
+        put("connect/exit_on_failure", False)  # it serves its own machine meanwhile
+        put("connect/retry", _RETRY)
     else:
         put("connect/endpoints", list(config.endpoints))
         put("connect/timeout_ms", 500)
         put("connect/exit_on_failure", True)
-        put("connect/retry", {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5})
+        put("connect/retry", _RETRY)
         put("listen/endpoints", [])
         put("namespace", config.namespace)
     _put_shared_memory(put, config.shared_memory)
@@ -255,15 +279,6 @@ def _read_file(file: Path) -> zenoh.Config:
             raise ConfigError(f"{file}: {name} {path} is missing or can't be read by this user")
         settings.insert_json5(f"{tls.SETTINGS}/{name}", json.dumps(str(path)))
     return settings
-
-
-def _endpoints_in(config: zenoh.Config, file: Path | None) -> list[str]:
-    endpoints = json.loads(config.get_json("connect/endpoints")) or []
-    if isinstance(endpoints, dict):  # one list for each mode
-        endpoints = endpoints.get("client") or []
-    if not isinstance(endpoints, list) or not all(isinstance(endpoint, str) for endpoint in endpoints):
-        raise ConfigError(f"{file}: connect/endpoints is not a list of endpoints such as {DEFAULT_ENDPOINT!r}")
-    return endpoints
 
 
 def _is_endpoint(text: str) -> bool:

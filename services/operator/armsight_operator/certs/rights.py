@@ -24,6 +24,8 @@ def rights(
     namespaces: Iterable[str],
     topics: Iterable[Topic[Any]] = TOPICS,
     queries: Iterable[Query[Any, Any]] = QUERIES,
+    *,
+    behind_router: bool = False,
 ) -> dict[Right, tuple[str, ...]]:
     """The keys on which each message may pass between the router and sessions of one role.
 
@@ -32,9 +34,14 @@ def rights(
         namespaces: robots that the rights are for.
         topics: rows of the table.
         queries: rows of the table.
+        behind_router: the session is another router's, and whoever has the role is connected to that one.
     """
+    topics, queries = tuple(topics), tuple(queries)
     relative = [right for topic in topics for right in _of_topic(role, topic)]
     relative += [right for query in queries for right in _of_query(role, query)]
+    if behind_router:
+        relative += [right for topic in topics for right in _of_topic_behind_router(role, topic)]
+        relative += [right for query in queries for right in _of_query_behind_router(role, query)]
     keys: dict[Right, set[str]] = {}
     for namespace in namespaces:
         for flow, message, key in relative:
@@ -81,6 +88,17 @@ def _of_query(role: str, query: Query[Any, Any]) -> Iterator[tuple[Flow, str, st
         key = _key(role, query.key, query.callers)
         yield "ingress", "query", key
         yield "egress", "reply", key
+
+
+def _of_topic_behind_router(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
+    """What a router needs to know to ask for its clients; these know no more than before."""
+    if topic.delivery == "latched" and _is_one_of(role, topic.readers):
+        yield "egress", "declare_queryable", f"{_any_name(topic.key)}/{_OF_LATCHED}"
+
+
+def _of_query_behind_router(role: str, query: Query[Any, Any]) -> Iterator[tuple[Flow, str, str]]:
+    if _is_one_of(role, query.callers):
+        yield "egress", "declare_queryable", _key(role, query.key, query.callers)
 
 
 def _is_one_of(role: str, who: tuple[str, ...]) -> bool:

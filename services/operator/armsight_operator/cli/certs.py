@@ -45,6 +45,16 @@ def make(
             show_default=False,
         ),
     ] = None,
+    router: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--router",
+            metavar="NAME=ROLE,ROLE",
+            help="Another router, linked to the first, and whom it speaks for, such as edge=sim,vision; may be given "
+            "again.",
+            show_default=False,
+        ),
+    ] = None,
     host: Hosts = None,
     namespace: Annotated[
         list[str] | None,
@@ -75,7 +85,7 @@ def make(
     from armsight.session import DEFAULT_NAMESPACE, SessionConfig
     from armsight.topics import EACH
     from armsight_operator.certs import folder as certificates
-    from armsight_operator.certs.configuration import configurations
+    from armsight_operator.certs.configuration import check_routers, configurations
     from armsight_operator.certs.layout import CONFIGURATION, ROUTER
 
     namespaces = namespace or [DEFAULT_NAMESPACE]
@@ -86,9 +96,12 @@ def make(
     bearers = {ROUTER: ROUTER}
     bearers |= {role: role for role in (*EACH, "operator")}
     bearers |= dict(_name_and_role(text) for text in name or ())
+    routers = dict(_router_and_roles(text) for text in router or ())
+    bearers |= dict.fromkeys(routers, ROUTER)
     files = certificates.Folder(folder)
-    done = files.make(bearers, (*_HOSTS, *(host or ())), days, ca_days)
-    texts = configurations(files.roles(), [listen], [connect], namespaces)
+    check_routers({**files.roles(), **bearers}, routers)
+    done = files.make(bearers, _HOSTS, days, ca_days, tuple(host or ()))
+    texts = configurations(files.roles(), [listen], [connect], namespaces, routers)
     for bearer, text in texts.items():
         files.write_configuration(bearer, text)
     for bearer, what in done.items():
@@ -154,3 +167,12 @@ def _name_and_role(text: str) -> tuple[str, str]:
     if not (name and equals and role):
         raise ConfigError(f"--name {text!r} does not say what it may do: it is NAME=ROLE, such as wall=viewer")
     return name, role
+
+
+def _router_and_roles(text: str) -> tuple[str, tuple[str, ...]]:
+    from armsight.errors import ConfigError
+
+    name, equals, roles = text.partition("=")
+    if not (name and equals and roles):
+        raise ConfigError(f"--router {text!r} does not say whom it speaks for: it is NAME=ROLE,ROLE")
+    return name, tuple(roles.split(","))
