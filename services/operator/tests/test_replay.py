@@ -114,8 +114,9 @@ def test_part_of_a_recording_has_what_was_latched_before(play: Play, heard: Hear
     time.sleep(0.2)
     expected = [(n, p) for t, n, stamp, p in messages(10) if t is topics.CAMERA_IMAGE]
     assert heard.payloads("camera/1/image") == [p for n, p in expected if n == "1"][5:8]
-    first = {sample.key for _, sample in heard.samples[:3]}
-    assert first == {"description", "camera/1/calibration", "camera/2/calibration"}
+    # in which order they arrive on keys of their own the bus does not promise
+    latched = [sample.key for _, sample in heard.samples if not sample.key.endswith("/image")]
+    assert {"description", "camera/1/calibration", "camera/2/calibration"} <= set(latched)
 
 
 def test_a_start_beyond_the_end_is_said(play: Play) -> None:

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <sstream>
 #include <string_view>
 #include <utility>
@@ -51,7 +52,7 @@ double checked(const Number& number, const v1::ParameterValue& value) {
     const bool is_whole = value.kind_case() == v1::ParameterValue::kWhole;
     if (!is_whole && value.kind_case() != v1::ParameterValue::kNumber) throw ParameterError(text.str());
     const double given = is_whole ? static_cast<double>(value.whole()) : value.number();
-    if (!(given >= number.least && given <= number.most)) {
+    if (std::isnan(given) || given < number.least || given > number.most) {
         text << ", not " << given;
         throw ParameterError(text.str());
     }
@@ -66,7 +67,7 @@ void take(Tunables& tunables, const std::string& name, const v1::ParameterValue&
         tunables.backend = value.text();
         return;
     }
-    const auto number = std::ranges::find(kNumbers, std::string_view(name), &Number::name);
+    const auto* const number = std::ranges::find(kNumbers, std::string_view(name), &Number::name);
     if (number == kNumbers.end()) {
         throw ParameterError("there is no parameter '" + name +
                              "' here: backend, chroma_floor, saturation_share, hue_half_width may be set");
