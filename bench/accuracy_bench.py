@@ -23,6 +23,7 @@ MOVED = 1000
 VARIANTS = {
     "4 samples": [],
     "no multisampling": ["--samples", "0"],
+    "4 samples, noise 4": ["--noise", "4"],
     "4 samples, noise 4, light 0.1 to 0.7": ["--noise", "4", "--ambient", "sweep"],
     "4 samples, emissive markers": ["--markers", "emissive"],
 }
