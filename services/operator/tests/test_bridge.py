@@ -20,6 +20,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool
 from armsight import topics
 from armsight.bus import Bus
 from armsight.images import encode_rgb8
+from armsight.parameters import Tunable, Value
+from armsight.service import serve_parameters
 from armsight.times import from_timestamp
 from armsight.v1.joints_pb2 import MARKER_STATUS_TRACKED, JointPositions
 from armsight.v1.parameters_pb2 import ParametersResponse
@@ -236,6 +238,31 @@ def test_parameters_are_those_that_services_tell(viewer: Viewer, sim: Bus) -> No
     viewer.wait_for(lambda: any(m["op"] == "parameterValues" for m in viewer.said), "parameters come")
     told = next(m for m in viewer.said if m["op"] == "parameterValues")
     assert {p["name"]: p["value"] for p in told["parameters"]} == {"sim.fps": 30, "sim.size.width": 800}
+
+
+def test_parameters_are_set_from_a_viewer_and_a_refusal_is_told(viewer: Viewer, sim: Bus) -> None:
+    tunables = serve_parameters("sim", sim, {"fps": 30})
+    applied: list[dict[str, Value]] = []
+    tunables.declare(
+        (Tunable("samples", "of a pixel", 0, "", 0, 4), Tunable("noise", "of pictures", 0.0, "", 0.0, 50.0)),
+        lambda values: applied.append(dict(values)),
+    )
+    time.sleep(0.3)
+
+    def set_to(ident: str, *parameters: dict[str, object]) -> dict[str, object]:
+        viewer.send({"op": "setParameters", "parameters": list(parameters), "id": ident})
+        viewer.wait_for(lambda: any(m.get("id") == ident for m in viewer.said), "what is in force comes back")
+        told = next(m for m in viewer.said if m.get("id") == ident)
+        return {p["name"]: p["value"] for p in told["parameters"]}
+
+    both = set_to("both", {"name": "sim.samples", "value": 4}, {"name": "sim.noise", "value": 2})
+    assert both == {"sim.samples": 4, "sim.noise": 2}
+    assert applied == [{"samples": 4, "noise": 2.0}]
+    assert set_to("refused", {"name": "sim.noise", "value": 99.0}) == {"sim.noise": 2}
+    viewer.wait_for(
+        lambda: any("within 0 to 50, not 99" in str(m.get("message")) for m in viewer.said), "the reason is told"
+    )
+    assert len(applied) == 1
 
 
 def test_a_port_that_is_taken_is_said(bridge: Bridge, make_bus: Callable[[], Bus]) -> None:

@@ -63,7 +63,13 @@ def a_name(key: str, who: tuple[str, ...], role: str) -> str | None:
     """Something for {name}: one's own where the column says each."""
     if "{name}" not in key:
         return None
-    return role if "each" in who and role in EACH else "vision" if key.startswith(("health", "parameters", "{name}")) else "1"
+    return (
+        role
+        if "each" in who and role in EACH
+        else "vision"
+        if key.startswith(("health", "parameters", "{name}"))
+        else "1"
+    )
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:

@@ -18,10 +18,21 @@ from google.protobuf.message import DecodeError, Message
 from armsight.bus import Bus, Received, Sample
 from armsight.errors import ArmsightError
 from armsight.schema import descriptor_set
-from armsight.topics import ASK_PARAMETERS, DESCRIPTION, EACH, SERVICES, TARGET, TOPICS, Topic, encoding_of
+from armsight.topics import (
+    ASK_PARAMETERS,
+    DESCRIPTION,
+    EACH,
+    SERVICES,
+    SET_PARAMETERS,
+    TARGET,
+    TOPICS,
+    Topic,
+    encoding_of,
+)
 from armsight.v1.description_pb2 import ArmDescription
+from armsight.v1.parameters_pb2 import ParametersResponse, SetParametersRequest
 from armsight_operator.bridge.demand import Demand
-from armsight_operator.bridge.parameters import flattened
+from armsight_operator.bridge.parameters import flattened, given, in_force
 from armsight_operator.bridge.target import TargetError, target_of
 from armsight_operator.errors import PortInUseError
 from armsight_operator.recording.scene import MESSAGES, SOURCES, Scene
@@ -43,7 +54,7 @@ class Bridge:
             bus: a session of the bridge's own.
             host: address to listen at.
             port: 0 takes a free one.
-            writable: whether viewers may publish `target`.
+            writable: whether viewers may publish `target` and set parameters.
 
         Raises:
             PortInUseError: it can't listen there.
@@ -188,15 +199,38 @@ class Bridge:
             if wanted and not any(name.startswith(f"{service}.") for name in wanted):
                 continue
             try:
-                told = self._bus.query(ASK_PARAMETERS, Empty(), service, timeout_s=_PARAMETERS_S).json
+                told = self._ask(service)
             except ArmsightError:
                 continue  # it is not there: then there are none of it
-            found |= {f"{service}.{name}": value for name, value in flattened(told).items()}
+            values = flattened(told.json) | in_force(told.parameters)
+            found |= {f"{service}.{name}": value for name, value in values.items()}
         return [
             foxglove.Parameter(name, value=value)
             for name, value in sorted(found.items())
             if not wanted or name in wanted
         ]
+
+    def set_parameters(self, wanted: Iterable[foxglove.Parameter]) -> None:
+        """Sets what a viewer wants set, service by service; viewers are told why something was not."""
+        if self._targets is None:
+            self.refuse("nothing can be set here: the bridge was started with --read-only")
+            return
+        by_service: dict[str, dict[str, Any]] = {}
+        for parameter in wanted:
+            service, _, name = parameter.name.partition(".")
+            by_service.setdefault(service, {})[name] = parameter.get_value()
+        for service, values in by_service.items():
+            try:
+                if service not in SERVICES:
+                    raise ArmsightError(f"there is no service {service!r}: {', '.join(SERVICES)} have parameters")
+                known = {one.name: one for one in self._ask(service).parameters}
+                request = {name: given(value, known.get(name)) for name, value in values.items()}
+                self._bus.query(SET_PARAMETERS, SetParametersRequest(values=request), service, timeout_s=_PARAMETERS_S)
+            except ArmsightError as error:
+                self.refuse(str(error))
+
+    def _ask(self, service: str) -> ParametersResponse:
+        return self._bus.query(ASK_PARAMETERS, Empty(), service, timeout_s=_PARAMETERS_S)
 
 
 class _Listener(foxglove.websocket.ServerListener):
@@ -239,5 +273,5 @@ class _Listener(foxglove.websocket.ServerListener):
         self, client: Client, parameters: list[foxglove.Parameter], request_id: str | None = None
     ) -> list[foxglove.Parameter]:
         del client, request_id
-        self._bridge.refuse("parameters are set when a service starts, and can't be changed from here")
+        self._bridge.set_parameters(parameters)
         return self._bridge.parameters([parameter.name for parameter in parameters])

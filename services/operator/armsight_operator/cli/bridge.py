@@ -38,7 +38,7 @@ def foxglove(
     """Serve the bus live to Foxglove and Lichtblick (Open connection, Foxglove WebSocket), until Ctrl-C.
 
     A key is only listened to while somebody looks at it. Viewers can publish `target`, which control follows in mode
-    track, and read parameters.
+    track, and set parameters.
 
     Example: armsight bridge foxglove --port 8765
     """
