@@ -12,7 +12,7 @@ from armsight.v1.description_pb2 import Color, LinkShape
 from armsight.v1.geometry_pb2 import Vector3
 from armsight.v1.joints_pb2 import StageTimes
 from armsight_operator.monitor import ServiceState, Snapshot
-from armsight_operator.page.plots import WINDOW_S, History, Sample, stages_ms
+from armsight_operator.page.plots import WINDOW_S, History, Sample, known, stages_ms
 from armsight_operator.page.scene import Wxyz, camera_view, ellipsoid, scene_of, srgb, turned
 from armsight_operator.page.state import headline, length, rows
 from fake_arm import description
@@ -179,6 +179,14 @@ def test_unknown_values_leave_gaps() -> None:
     assert history.tip_error_mm()[0] == pytest.approx(2.0)
     assert math.isnan(history.tip_error_mm()[1])
     assert history.stage_medians_ms() is None
+    assert [column.tolist() for column in known(history.times(), [estimated, true])] == [[-1.0], [0.1], [0.2]]
+
+
+def test_without_a_truth_the_estimate_is_the_only_line() -> None:
+    history = History()
+    history.add(sample(0.0, 0.1))
+    history.add(sample(1.0, 0.3))
+    assert [column.tolist() for column in history.angles(("a",))] == [[0.1, 0.3], [0.1, 0.3]]
 
 
 def test_stages_are_the_times_between_what_was_passed() -> None:

@@ -11,7 +11,7 @@ import viser
 import viser.uplot
 
 from armsight_operator.modes import MODES
-from armsight_operator.page.plots import STAGES, History
+from armsight_operator.page.plots import STAGES, History, known
 from armsight_operator.page.scene import JointFrame
 from armsight_operator.page.state import Headline, Row
 
@@ -27,18 +27,20 @@ _LAST = 1e9
 
 # viser's buttons are two lines high wherever they are: the one that matters most is not.
 _STYLE = """<style>
+div:has(> div > .armsight-state) { display: grid; grid-template-columns: 3fr 2fr; }
+div:has(> .armsight-state) { grid-column: 1 / -1; }
 div:has(> .armsight-state) ~ div button { height: 3.6em !important; font-size: 1.15em; }
-.armsight-state { padding: 0.2em 0.8em 0.6em 0.8em; min-height: 4.6em; line-height: 1.35; }
+.armsight-state { padding: 0.2em 0.8em 0.6em 0.8em; min-height: 4.4em; line-height: 1.35; }
 .armsight-state b { font-size: 1.5em; letter-spacing: 0.01em; }
 .armsight-rows { padding: 0 0.8em 0.4em 0.8em; font-size: 0.85em; line-height: 1.4; }
 .armsight-plot { padding: 0.3em 0.9em 0.2em 0.9em; font-size: 0.8em; line-height: 1.4; }
-.armsight-plot span { white-space: nowrap; margin-left: 0.5em; font-weight: 600; }
+.armsight-plot span { white-space: nowrap; margin-right: 0.4em; font-weight: 600; }
 .armsight-rows td { padding: 0.12em 0.6em 0.12em 0; vertical-align: top; }
 </style>"""
 
 
 class StopPanel:
-    """Always in view: how the arm is and why, STOP, and release below it.
+    """Always in view: how the arm is and why, STOP, and release beside it.
 
     Args:
         gui: of all viewers.
@@ -53,7 +55,7 @@ class StopPanel:
             self._state = gui.add_html("")
             self._stop = gui.add_button("STOP", color="red", icon=viser.Icon.HAND_STOP)
             self._release = gui.add_button("Release", color="green", icon=viser.Icon.PLAYER_PLAY, disabled=True)
-        panel.float(x=16, y=16, width=330)
+        panel.float(x=16, y=-16, width=350)
         command = gui.add_command("Stop the arm", hotkey="S", modifier="shift", icon=viser.Icon.HAND_STOP)
         self._stop.on_click(lambda _: stop())
         command.on_trigger(lambda _: stop())
@@ -226,12 +228,13 @@ class Plots:
 
     def update(self, history: History) -> None:
         """Shows the newest samples."""
-        times = history.times()
-        if not self._plots or len(times) < 2:
+        if not self._plots:
             return
         columns = (history.angles(self._names), history.stages(), [history.tip_error_mm()])
         for plot, data in zip(self._plots, columns, strict=True):
-            plot.data = (times, *data)
+            complete = known(history.times(), data)
+            if len(complete[0]) > 1:
+                plot.data = complete
 
     def _add(
         self,
@@ -243,10 +246,10 @@ class Plots:
         names = " ".join(f'<span style="color:{color}">{escape(name)}</span>' for name, color in key)
         head = f'<div class="armsight-plot"><b>{escape(title)}</b> {names}</div>'
         plot = self._gui.add_uplot(
-            data=(np.array([-1.0, 0.0]), *(np.full(2, np.nan) for _ in series)),
+            data=(np.array([-1.0, 0.0]), *(np.zeros(2) for _ in series)),
             series=({}, *series),
             scales={"x": {"time": False, "auto": True}},
-            axes=(_TIMES, {"size": 44, "font": _PLOT_FONT}),
+            axes=(_TIMES, {"size": 44, "font": _PLOT_FONT, "space": 20}),
             legend={"show": False},
             height=_PLOT_PX,
             order=order,

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
@@ -53,6 +53,12 @@ def stages_ms(times: StageTimes) -> tuple[float, ...] | None:
     return tuple((later - earlier) / 1e6 for earlier, later in pairwise(passed))
 
 
+def known(times: Column, columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Times and columns without the moments at which something is unknown: uPlot draws nothing at all where one is."""
+    table = np.stack([times, *columns])
+    return tuple(table[:, np.isfinite(table).all(axis=0)])
+
+
 class History:
     """Samples of the last :data:`WINDOW_S` seconds."""
 
@@ -72,11 +78,16 @@ class History:
         return np.array([sample.at_s - newest for sample in self._samples])
 
     def angles(self, names: tuple[str, ...]) -> list[Column]:
-        """Estimated, then true, for one joint after the other; NaN where unknown."""
+        """Estimated, then true, for one joint after the other; NaN where unknown.
+
+        Where nobody ever told the truth, the estimate stands for it: there is one line to be seen.
+        """
+        estimated = [s.estimated for s in self._samples]
+        true = [s.true for s in self._samples] if any(s.true for s in self._samples) else estimated
         return [
-            np.array([angles.get(name, math.nan) for angles in angles_by_time])
+            np.array([angles.get(name, math.nan) for angles in source])
             for name in names
-            for angles_by_time in ([s.estimated for s in self._samples], [s.true for s in self._samples])
+            for source in (estimated, true)
         ]
 
     def tip_error_mm(self) -> Column:
