@@ -24,6 +24,7 @@ from armsight_operator.exposure import check_page_exposure, is_own_page
 from armsight_operator.page.server import Server, check_bindable
 from armsight_operator.stack import free_port
 from fake_arm import FakeArm
+from secure_bus import SecureBus
 
 COMMAND = [sys.executable, "-c", "from armsight_operator.cli.app import main; main()", "page"]
 
@@ -159,6 +160,26 @@ def test_without_viewers_it_listens_to_nothing_that_flows(
         arm.say_status()
         time.sleep(0.1)
     assert cpu_s(page.pid) - before < 0.3, "a tenth of a processor is not nothing"
+
+
+def test_with_certificates_it_is_an_operator_and_nothing_else_will_do(tmp_path: Path) -> None:
+    secure = SecureBus(tmp_path)
+    secure.start_router()
+    try:
+        health = secure.bus("viewer").subscriber(topics.HEALTH, "page")
+        started = [*COMMAND, "--port", "0", "--zenoh-config"]
+        with subprocess.Popen([*started, str(secure.file("operator"))], stdout=subprocess.PIPE) as page:
+            try:
+                assert health.recv(20.0) is not None
+            finally:
+                page.terminate()
+        other = subprocess.run(
+            [*started, str(secure.file("vision"))], capture_output=True, text=True, timeout=20, check=False
+        )
+        assert other.returncode == 2
+        assert "are for vision, this is operator" in other.stderr
+    finally:
+        secure.close()
 
 
 def test_a_taken_port_is_a_mistake_of_the_command_line(endpoint: str) -> None:

@@ -86,6 +86,8 @@ class View:
         self._drawn: _Drawn | None = None
         self._mode = ""
         self._touched_s = {"target": -_HELD_S, "sliders": -_HELD_S}
+        self._sliders_lead = False
+        """They say where the joints are to be; else they show where those are."""
         self._trouble = ("", 0.0)
         self._trouble_lock = threading.Lock()
         self._history = History()
@@ -179,6 +181,8 @@ class View:
         self._move.show_mode(snapshot.mode)
         held = time.monotonic() - self._touched_s["sliders"] < _HELD_S
         if not held and snapshot.mode != "joints":
+            self._sliders_lead = False
+        if not held and not self._sliders_lead:
             self._move.show_angles(snapshot.joints)
 
     def _speed(self, seen: Seen) -> str:
@@ -199,6 +203,7 @@ class View:
 
     def _set_joints(self, angles: Mapping[str, float]) -> None:
         self._touch("sliders")
+        self._sliders_lead = True
         self._with_hand().joints(angles)
 
     def _touch(self, what: str) -> None:
