@@ -57,7 +57,6 @@ def opened(rig: Rig, browser: Browser) -> Viewer:
 @pytest.fixture
 def viewer(rig: Rig, opened: Viewer) -> Viewer:
     """A window on the page; the arm rests, away from where its joints can't be told."""
-    rig.wait_ready()
     with suppress(RefusedError):  # it does not stop the arm
         rig.release_arm(SOURCE)
     rig.mode("hold")
