@@ -122,12 +122,23 @@ class Viewer:
         start, end = self._pixel(grip, look), self._pixel(to, look)
         mouse = self.page.mouse
         mouse.move(*start)
-        self.page.wait_for_timeout(500)  # it notices the pointer when it draws next
+        self._draw(3)  # it notices the pointer when it draws next
         mouse.down()
         for share in np.linspace(0.1, 1.0, 8):
             mouse.move(*(start + share * (end - start)))
-            self.page.wait_for_timeout(100)
+            self._draw(1)
         mouse.up()
+
+    def rest(self, seconds: float) -> None:
+        """Looks on for a while, and until all that was heard by then is drawn."""
+        self.page.wait_for_timeout(1000 * seconds)
+        self._draw(5)
+
+    def _draw(self, frames: int) -> None:
+        script = (
+            "n => new Promise(done => { const next = () => n-- > 0 ? requestAnimationFrame(next) : done(); next() })"
+        )
+        self.page.evaluate(script, frames)
 
     def _number(self, joint: str) -> Locator:
         name = self.page.get_by_text(f"{joint} (rad)", exact=True)

@@ -89,12 +89,10 @@ def test_dragged_target_is_where_the_tip_arrives(rig: Rig, viewer: Viewer) -> No
     tip = arm.to_world(arm.tip_at(rig.true_joints()))
     arrow = np.array([0.0, 0.0, 0.6 * 0.14 * scene.reach_m])
     down = np.array([0.0, 0.0, -1.5])
-
-    def is_dragged() -> bool:
-        viewer.drag(tip + arrow, tip + arrow + down, look)
-        return targets.latest is not None
-
-    until(is_dragged, viewer, "a target is published")
+    viewer.rest(3.0)
+    viewer.drag(tip + arrow, tip + arrow + down, look)
+    until(lambda: targets.latest is not None, viewer, "a target is published")
+    viewer.rest(1.0)
     until(lambda: viewer.mode() == "track", viewer, "the page shows the mode")
 
     def wanted() -> np.ndarray:
