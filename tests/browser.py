@@ -106,7 +106,7 @@ class Viewer:
 
     def mode(self) -> str:
         """The mode that is shown."""
-        return self._mode().input_value()
+        return self._mode().input_value(timeout=WAIT_MS)
 
     def choose_mode(self, name: str) -> None:
         """Picks a mode from the list."""

@@ -30,10 +30,10 @@ POSE = (0.3, 0.0, 0.4, 0.5)
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """One stack for all tests: few frames a second, as browsers draw on the same processors."""
-    rig = Rig(Stack(out=tmp_path_factory.mktemp("stack"), target="none", mode="hold", fps=10, page_port=0))
+    rig = Rig(Stack(out=tmp_path_factory.mktemp("stack"), target="none", mode="track", fps=10, page_port=0))
     rig.start_all()
     rig.start(PAGE)
-    rig.wait_ready()
+    rig.wait_ready(120)  # with the solver loaded, as the mode asks for it
     yield rig
     rig.close()
 
@@ -162,7 +162,7 @@ def test_nobody_looks_and_nobody_listens(rig: Rig, opened: Viewer) -> None:
     until(annotations.has_subscribers, opened, "a viewer's page listens")
     browser = opened.page.context.browser
     opened.page.close()
-    rig.wait_until(lambda: not annotations.has_subscribers(), 10, "the page listens no more")
+    rig.wait_until(lambda: not annotations.has_subscribers(), 30, "the page listens no more")
     # and again for the next one
     assert browser is not None
     again = Viewer(browser, url(rig))
