@@ -63,6 +63,10 @@ class Viewer:
         # viser warns of rendering without a GPU
         self.page.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach(x => x.click())")
 
+    def close(self) -> None:
+        """Closes the window."""
+        self.page.close()
+
     def title(self) -> str:
         """The arm's state in a word."""
         return self.page.inner_text(".armsight-state b")

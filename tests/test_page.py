@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
@@ -139,20 +139,19 @@ def test_killed_services_are_shown_as_missing_and_as_back(rig: Rig, viewer: View
 
 
 def test_two_viewers_see_the_same_and_either_may_act(rig: Rig, browser: Browser, viewer: Viewer) -> None:
-    other = Viewer(browser, url(rig))
-    viewer.choose_mode("test-all")
-    until(rig.moving, viewer, "the arm moves")
-    until(lambda: other.mode() == "test-all", other, "the other sees the mode")
-    other.press("STOP")
-    viewer.wait_for_title("STOPPED")
-    viewer.press("Release")
-    other.wait_for_title("Moving")
-    other.set_slider("joint1", -0.5)
-    until(lambda: abs(rig.true_joints()[0] + 0.5) < 0.02, viewer, "the joint follows the slider")
-    until(lambda: viewer.mode() == "joints", viewer, "the first sees the mode")
-    assert viewer.slider("joint1") == pytest.approx(-0.5, abs=0.01)
-    assert other.errors == []
-    other.page.close()
+    with closing(Viewer(browser, url(rig))) as other:
+        viewer.choose_mode("test-all")
+        until(rig.moving, viewer, "the arm moves")
+        until(lambda: other.mode() == "test-all", other, "the other sees the mode")
+        other.press("STOP")
+        viewer.wait_for_title("STOPPED")
+        viewer.press("Release")
+        other.wait_for_title("Moving")
+        other.set_slider("joint1", -0.5)
+        until(lambda: abs(rig.true_joints()[0] + 0.5) < 0.02, viewer, "the joint follows the slider")
+        until(lambda: viewer.mode() == "joints", viewer, "the first sees the mode")
+        assert viewer.slider("joint1") == pytest.approx(-0.5, abs=0.01)
+        assert other.errors == []
     viewer.choose_mode("hold")
     viewer.wait_for_title("Holding still")
 
@@ -161,7 +160,7 @@ def test_nobody_looks_and_nobody_listens(rig: Rig, opened: Viewer) -> None:
     annotations = rig.bus.publisher(topics.CAMERA_ANNOTATIONS, "1")
     until(annotations.has_subscribers, opened, "a viewer's page listens")
     browser = opened.page.context.browser
-    opened.page.close()
+    opened.close()
     rig.wait_until(lambda: not annotations.has_subscribers(), 30, "the page listens no more")
     # and again for the next one
     assert browser is not None
