@@ -12,11 +12,11 @@ from browser import Viewer, chromium
 from rig import Rig
 
 folder = Path(tempfile.mkdtemp(prefix="armsight-"))
-rig = Rig(Stack(out=folder, target="default", mode="track", fps=15, samples=4, page_port=0))
+rig = Rig(Stack(out=folder, target="default", mode="track", fps=10, page_port=0))
 try:
     rig.start_all()
     rig.start(PAGE)
-    rig.wait_ready()
+    rig.wait_ready(120)
     with chromium(folder) as browser:
         viewer = Viewer(browser, f"http://127.0.0.1:{rig.stack.page_port}", (1440, 900))
         viewer.wait_for_title("Moving")
