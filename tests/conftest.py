@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from armsight_operator.stack import Stack
-from rig import Rig
+from rig import Rig, started
 
 MakeRig = Callable[..., Rig]
 
@@ -42,11 +42,8 @@ def tracking(make_rig: MakeRig) -> Rig:
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """One stack for all tests of a module that leave it well."""
-    rig = Rig(Stack(out=tmp_path_factory.mktemp("stack"), target="none", mode="hold"))
-    rig.start_all()
-    rig.wait_ready()
-    yield rig
-    rig.close()
+    with started(Stack(out=tmp_path_factory.mktemp("stack"), target="none", mode="hold")) as rig:
+        yield rig
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ from armsight.times import to_timestamp
 from armsight.v1.control_pb2 import ControlStatus
 from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, MARKER_STATUS_TRACKED, JointPositions, MarkerPosition
 from armsight.v1.safety_pb2 import StopSource, StopState
+from armsight_control.estimators import all_joints
 from armsight_control.loop import Loop
 from armsight_control.modes import NAMES, Mode
 from armsight_control.movement import MotionOptions
@@ -69,6 +70,7 @@ class Bench:
     """Whether vision takes the box for the sphere."""
     seed: int = 0
     stopped: bool = False
+    estimator: str = all_joints.NAME
 
     def __post_init__(self) -> None:
         self.described = load_model()
@@ -81,7 +83,7 @@ class Bench:
 
     def restart(self) -> None:
         """A new control, which knows nothing of what was before."""
-        self.loop = Loop(self.limits, self.motion, Options(), 0, self.counters)
+        self.loop = Loop(self.limits, self.motion, Options(), 0, self.counters, self.estimator)
         self.loop.describe(describe_arm(self.described, with_bodies=True))
         self.loop.set_mode(Mode(NAMES[self.mode]))
         self.answered_frame = self.sim.frame - 1

@@ -286,6 +286,18 @@ class Rig:
         return latest.message
 
 
+@contextmanager
+def started(stack: Stack) -> Iterator[Rig]:
+    """A rig on a stack all of whose processes run and are well, and of which nothing is left afterwards."""
+    rig = Rig(stack)
+    try:
+        rig.start_all()
+        rig.wait_ready()
+        yield rig
+    finally:
+        rig.close()
+
+
 def without_stages(message: Message) -> tuple[int, bytes]:
     """A message's instant, and its bytes without the wall-clock times of its stages, which no two runs share."""
     copy = type(message)()

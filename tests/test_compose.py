@@ -4,15 +4,21 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from armsight import topics
+from armsight.bus import Bus
+from armsight.session import SessionConfig, open_session
 from armsight_operator.stack import free_port
+from rig import Truth
 
 ROOT = Path(__file__).parents[1]
 PROJECT = "armsight-test"
@@ -25,13 +31,16 @@ pytestmark = [pytest.mark.docker, pytest.mark.timeout(BUILD_S + 300)]
 
 
 class Compose:
-    """The project's compose file, as a user calls it, under a name of its own."""
+    """The project's compose files, as a user calls them, under a name of their own."""
 
-    def __init__(self) -> None:
-        self.environment = os.environ | {"ARMSIGHT_PORT": str(free_port()), "ARMSIGHT_PAGE_PORT": str(free_port())}
+    def __init__(self, project: str = PROJECT, **environment: str) -> None:
+        self.project = project
+        self.environment = (
+            os.environ | {"ARMSIGHT_PORT": str(free_port()), "ARMSIGHT_PAGE_PORT": str(free_port())} | environment
+        )
 
     def run(self, *words: str, timeout_s: float = UP_S) -> subprocess.CompletedProcess[str]:
-        command = ["docker", "compose", "--project-name", PROJECT, *words]
+        command = ["docker", "compose", "--project-name", self.project, *words]
         return subprocess.run(
             command, cwd=ROOT, env=self.environment, capture_output=True, text=True, timeout=timeout_s, check=False
         )
@@ -55,6 +64,33 @@ class Compose:
         while not follows(status := self.status(namespace)):
             assert time.monotonic() < deadline, f"not within {timeout_s:g} s: {status}\n{self('logs', '--tail', '20')}"
         return status
+
+
+class Watch:
+    """What the arm does in truth, from outside of the containers."""
+
+    def __init__(self, port: str) -> None:
+        self.truth = Truth()
+        config = SessionConfig(endpoints=(f"tcp/127.0.0.1:{port}",), shared_memory="off")
+        session = open_session(config, threading.Event())
+        assert session is not None
+        self._bus = Bus(session)
+
+    def __enter__(self) -> "Watch":
+        self._bus.subscriber(topics.JOINTS_TRUE, keep=1000, on_message=self.truth.add)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bus.session.close()  # type: ignore[no-untyped-call]
+
+    def longest_rest_s(self) -> float:
+        """In sim's time, without a sample in which a joint moved by more than a milliradian."""
+        longest, began = 0.0, self.truth.times[0]
+        for (earlier, later), now in zip(pairwise(self.truth.angles), self.truth.times[1:], strict=True):
+            if max(abs(a - b) for a, b in zip(earlier, later, strict=True)) > 1e-3:
+                began = now
+            longest = max(longest, now - began)
+        return longest
 
 
 def follows(status: dict[str, Any]) -> bool:
@@ -88,6 +124,18 @@ def test_the_solvers_run_compiled_though_the_image_has_no_compiler(compose: Comp
     backends, trouble = compose("exec", "-T", "control", "python3", "-c", ask).split("\n")[:2]
     assert trouble == ""
     assert backends.count("compiled") == len(backends.split(", ")) == 4
+
+
+@pytest.mark.parametrize("victims", [(), ("router",), ("sim",), ("vision",), ("control",)], ids=" ".join)
+def test_restart_while_moving_holds_the_arm_and_it_goes_on(compose: Compose, victims: tuple[str, ...]) -> None:
+    compose.wait_until_it_follows(60)
+    with Watch(compose.environment["ARMSIGHT_PORT"]) as watch:
+        compose("restart", "--timeout", "5", *victims)
+        compose("up", "--detach", "--wait")
+        compose.wait_until_it_follows(60)
+    if victims not in ((), ("sim",)):  # another sim is another arm
+        assert watch.longest_rest_s() > 0.3, "the arm did not hold"
+        watch.truth.assert_speed_below(5.0)
 
 
 @pytest.mark.parametrize("victim", ["router", "sim", "vision", "control"])
@@ -210,7 +258,8 @@ def test_nobody_in_an_image_can_become_another_compile_or_replace_a_program(comp
     assert found("find / -xdev -type f -perm /6000 2>/dev/null; true") == []
     assert found("for each in gcc g++ cc clang rustc cargo; do command -v $each; done; true") == []
     writable = "-perm -o+w -o -user armsight"
-    kept = "-path /proc -o -path /sys -o -path /dev -o -path /tmp -o -path /var/tmp -o -path /run/lock"
+    temporary = ("/proc", "/sys", "/dev", "/tmp", "/var/tmp", "/run/lock", "/recordings")  # noqa: S108
+    kept = " -o ".join(f"-path {path}" for path in temporary)
     assert found(f"find / \\( {kept} \\) -prune -o ! -type l \\( {writable} \\) -print 2>/dev/null; true") == []
     assert found("command -v python3 || command -v armsight-vision") != [], "the look inside does find things"
 
@@ -220,3 +269,53 @@ def test_no_container_runs_as_root_or_can_write_to_its_image(compose: Compose) -
         assert compose("exec", "-T", service, "id", "-u").strip() == "10001", service
         write = compose.run("exec", "-T", service, "touch", "/usr/local/file")
         assert write.returncode != 0, service
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(compose: Compose, tmp_path: Path) -> None:
+    small = tmp_path / "small.yml"
+    small.write_text(
+        "volumes: {recordings: {driver_opts: {type: tmpfs, device: tmpfs, o: 'size=8m,mode=1777'}}}\n", encoding="ascii"
+    )
+    words = ("--file", "docker-compose.yml", "--file", str(small), "--profile", "record")
+    holder = f"{PROJECT}-holder"  # what is in memory is gone when nobody has it open
+    compose.wait_until_it_follows(60)
+    try:
+        compose(*words, "run", "--detach", "--no-deps", "--name", holder, "recorder", "sleep", "600")
+        compose(*words, "up", "--detach", "--no-deps", "recorder")
+        deadline = time.monotonic() + 240
+        while "No space left on device" not in (said := compose(*words, "logs", "recorder")):
+            assert time.monotonic() < deadline, said
+            time.sleep(1.0)
+        assert "can't go on writing" in said
+        status = compose.wait_until_it_follows(10)
+        assert {s["name"]: s["status"] for s in status["services"]}["control"] == "ok"
+        found = docker("exec", holder, "sh", "-c", "ls /recordings/*.mcap").split()
+        info = json.loads(docker("exec", holder, "armsight", "recording", "info", "--json", found[0]))
+        assert info["complete"], info["troubles"]
+        assert info["lost"] == 0
+        assert info["keys"]["camera/1/image"]["count"] > 30
+        assert info["bytes"] > 4_000_000
+        assert info["notes"]["armsight end"]["why"] == "no room"
+    finally:
+        compose(*words, "rm", "--stop", "--force", "recorder")
+        subprocess.run(["docker", "rm", "--force", holder], capture_output=True, timeout=UP_S, check=False)
+        subprocess.run(
+            ["docker", "volume", "rm", f"{PROJECT}_recordings"], capture_output=True, timeout=UP_S, check=False
+        )
+
+
+def test_the_recorder_is_well_and_what_it_recorded_stays(compose: Compose) -> None:
+    words = ("--profile", "record")
+    compose.wait_until_it_follows(60)
+    try:
+        compose(*words, "up", "--detach", "--wait")
+        time.sleep(5.0)
+        assert "recorder" in {service["name"] for service in compose.status()["services"]}
+        compose(*words, "stop", "recorder")
+        read = "armsight recording info --json /recordings/*.mcap"
+        info = json.loads(compose(*words, "run", "--rm", "--no-deps", "recorder", "sh", "-c", read))
+        assert info["complete"], info["troubles"]
+        assert info["lost"] == 0
+        assert info["messages"] > 100
+    finally:
+        compose(*words, "rm", "--stop", "--force", "recorder")

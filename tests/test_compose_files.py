@@ -15,6 +15,7 @@ from armsight_operator.cli.app import main
 
 ROOT = Path(__file__).parents[1]
 BASE, SECURE = "docker-compose.yml", "docker-compose.secure.yml"
+EDGE, CENTER = "docker-compose.edge.yml", "docker-compose.center.yml"
 BUS = ("router", "sim", "vision", "control", "operator", "page")
 BEARERS = BUS[:-1]
 """Of certificates: the page has the operator's."""
@@ -120,7 +121,7 @@ def test_certificates_that_compose_makes_are_those_that_it_mounts(tmp_path: Path
         main(command[1:])
     assert not ended.value.code
     folder = Folder(tmp_path)
-    assert set(folder.names()) == set(BEARERS)
+    assert set(folder.names()) == {*BEARERS, "recorder"}
     router = next(entry for entry in folder.entries() if entry.name == "router")
     assert {"router", "127.0.0.1"} <= set(router.hosts)  # as services and as its own health check call it
     for name in BEARERS[1:]:
@@ -128,3 +129,47 @@ def test_certificates_that_compose_makes_are_those_that_it_mounts(tmp_path: Path
         assert '"namespace": "robots/left"' in text
         assert "tls/router:7447" in text
     assert "tls/0.0.0.0:7447" in (tmp_path / "router" / CONFIGURATION).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("files", [(BASE,), (BASE, SECURE)], ids=["plain", "secure"])
+def test_a_recorder_is_as_confined_as_the_others_and_asked_for_its_health(files: tuple[str, ...]) -> None:
+    every = services(*files, profile="record")
+    assert set(every) == {*BUS, "recorder"}
+    recorder, operator = every["recorder"], every["operator"]
+    for said in ("image", "environment", "mem_limit", "cpus", "pids_limit", "read_only", "cap_drop", "security_opt"):
+        assert recorder[said] == operator[said], said
+    assert "ports" not in recorder
+    assert recorder["healthcheck"]["test"] == ["CMD", "armsight", "record", "--health"]
+    assert recorder["restart"] == "on-failure:3", "a full disk stays full"
+    writable = [volume for volume in recorder["volumes"] if not volume.get("read_only")]
+    assert [(volume["source"], volume["target"]) for volume in writable] == [("recordings", "/recordings")]
+    own = [volume["source"] for volume in recorder["volumes"] if volume.get("read_only")]
+    assert own == ([str(ROOT / "certs" / "recorder")] if SECURE in files else [])
+
+
+def test_two_machines_have_each_service_once_and_a_router_each() -> None:
+    edge = services(BASE, SECURE, EDGE, ARMSIGHT_CENTER="center.local", ARMSIGHT_CENTER_PORT="17447")
+    center = services(BASE, SECURE, CENTER, ARMSIGHT_BIND="10.0.0.7")
+    assert set(edge) == {"router", "sim", "vision"}
+    assert set(center) == {"router", "control", "operator", "page"}
+    assert edge["router"]["command"][-1] == "--connect=tls/center.local:17447"
+    assert not [word for word in center["router"]["command"] if word.startswith("--connect")]
+    # the robot's machine is reached by nobody, the other at the address that was said
+    assert [port["host_ip"] for port in edge["router"]["ports"]] == ["127.0.0.1"]
+    assert [port["host_ip"] for port in center["router"]["ports"]] == ["10.0.0.7"]
+    own = {name: machine["router"]["volumes"] for name, machine in (("edge", edge), ("router", center))}
+    for name, volumes in own.items():
+        assert [volume["source"] for volume in volumes] == [str(ROOT / "certs" / name)]
+    secure = services(BASE, SECURE)
+    for name, service in (edge | center).items():
+        if name != "router":
+            assert service == secure[name], name
+
+
+def test_second_robot_with_certificates_is_the_second_robot() -> None:
+    both = services(BASE, SECURE, profile="two-robots")
+    for name in ("sim", "vision", "control"):
+        first, second = both[name], both[f"{name}-2"]
+        assert second["environment"] == first["environment"] | {"ARMSIGHT_NAMESPACE": "robots/arm-2"}
+        for said in ("image", "command", "mem_limit", "tmpfs", "read_only", "cap_drop", "volumes", "user"):
+            assert second.get(said) == first.get(said), (name, said)

@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 
 from armsight import topics
-from armsight.topics import QUERIES, SERVICES, TOPICS
+from armsight.topics import EACH, QUERIES, TOPICS
 
 ROOT = Path(__file__).parents[1]
 SERVICE = ROOT / "services" / "vision_cpp" / "src" / "service"
+RECORDER = ROOT / "services" / "operator" / "armsight_operator" / "recording" / "recorder.py"
 PYTHON = {"sim": "services/sim/armsight_sim", "control": "services/control/armsight_control"}
 
 Uses = dict[str, set[str]]
@@ -21,10 +22,10 @@ Uses = dict[str, set[str]]
 _ROW = {name: row.name for name, row in vars(topics).items() if isinstance(row, topics.Topic | topics.Query)}
 
 
-def uses_in_python(folder: Path) -> Uses:
-    """Calls of a bus's methods with a constant of `armsight.topics` as their first argument."""
+def uses_in_python(*files: Path) -> Uses:
+    """Calls of a bus's methods with a constant of `armsight.topics` as their first argument, in files and folders."""
     uses: Uses = defaultdict(set)
-    for file in folder.rglob("*.py"):
+    for file in (file for path in files for file in (path.rglob("*.py") if path.is_dir() else [path])):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
                 continue
@@ -56,7 +57,7 @@ def snake(name: str) -> str:
 
 
 def is_one_of(role: str, who: tuple[str, ...]) -> bool:
-    return role in {entry.partition("/")[0] for entry in who} or ("each" in who and role in SERVICES)
+    return role in {entry.partition("/")[0] for entry in who} or ("each" in who and role in EACH)
 
 
 def uses_in_table(role: str) -> Uses:
@@ -84,18 +85,31 @@ def test_vision_does_what_the_table_says() -> None:
 
 
 def test_operator_does_nothing_that_the_table_denies() -> None:
-    found, allowed = uses_in_python(ROOT / "services/operator/armsight_operator"), uses_in_table("operator")
+    own = set((ROOT / "services/operator/armsight_operator").rglob("*.py")) - {RECORDER}
+    found, allowed = uses_in_python(*own), uses_in_table("operator")
     assert {"mode", "stop", "release", "reset"} <= found["query"]
     assert {kind: rows - allowed[kind] for kind, rows in found.items() if rows - allowed[kind]} == {}
     # `armsight topics echo KEY` takes any
     assert allowed["subscriber"] == {topic.name for topic in TOPICS}
 
 
+def test_recorder_reads_everything_and_tells_of_itself_alone() -> None:
+    # which keys it subscribes to is said when it is started: any
+    assert uses_in_table("recorder") == {
+        "publisher": {"health", "parameters"},
+        "subscriber": {topic.name for topic in TOPICS},
+        "serve": {"parameters", "set_parameters"},
+        "query": {"parameters"},
+        "presence": set(),
+    }
+    assert uses_in_python(RECORDER) == {}
+
+
 def test_viewer_reads_what_operator_reads_and_changes_nothing_but_a_stop() -> None:
     viewer, operator = uses_in_table("viewer"), uses_in_table("operator")
     assert viewer["subscriber"] == operator["subscriber"]
     assert viewer["publisher"] == viewer["serve"] == set()
-    assert viewer["query"] == operator["query"] - {"release", "reset", "mode"}
+    assert viewer["query"] == operator["query"] - {"release", "reset", "mode", "set_parameters"}
 
 
 @pytest.mark.parametrize("row", [*TOPICS, *QUERIES], ids=lambda row: row.name)

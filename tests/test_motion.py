@@ -25,6 +25,7 @@ from armsight.v1.control_pb2 import (
     SAFETY_CODE_STOPPED,
     ControlStatus,
 )
+from armsight_control import estimators
 from armsight_control.detour import KEEP_M
 from armsight_control.modes import NAMES, Mode
 from armsight_control.movement import MotionOptions
@@ -200,7 +201,49 @@ def test_on_the_way_into_a_singularity_it_slows_down_and_says_so() -> None:
     assert_bounds(bench)
 
 
-EVENTS = ("run", "run", "run", "mode", "target", "point", "stop", "release", "lose", "see", "noise", "reset", "skip")
+def test_speed_lowered_in_the_middle_of_a_motion_is_kept_soon_and_raised_again() -> None:
+    bench = Bench("joints")
+    bench.loop.set_mode(Mode(NAMES["joints"], np.array([2.5, 0.0, 0.0, 0.0])))
+
+    def speeds(moments: list[Moment]) -> Vector:
+        return np.array([(m.command - m.in_force)[0] * 30 for m in moments if m.command is not None])
+
+    whole = 5 * bench.limits.speed_share
+    assert speeds(bench.run(0.7))[-1] == pytest.approx(whole, rel=1e-3)
+    bench.loop.tune(MotionOptions(slow=0.2), bench.estimator)
+    lowered = speeds(bench.run(0.7))
+    assert lowered[-1] == pytest.approx(0.2 * whole, rel=1e-3)
+    assert 0 <= lowered.min() <= lowered.max() <= whole, "it neither turns round nor goes on faster"
+    bench.loop.tune(MotionOptions(), bench.estimator)
+    assert speeds(bench.run(0.7)).max() == pytest.approx(whole, rel=1e-3)
+    assert_bounds(bench)
+
+
+def test_another_standoff_is_taken_while_the_sphere_is_followed() -> None:
+    bench = Bench("follow", "visible", motion=MotionOptions(free_joints="all"))
+    bench.run(4)
+    bench.loop.tune(MotionOptions(free_joints="all", standoff_m=1.6), bench.estimator)
+    bench.run(3)
+    distances = [np.linalg.norm(m.tip - target_at("visible", m.t)) for m in bench.run(1)]
+    assert rms(np.array(distances) - 1.6) < 0.04
+
+
+EVENTS = (
+    "run",
+    "run",
+    "run",
+    "mode",
+    "target",
+    "point",
+    "stop",
+    "release",
+    "lose",
+    "see",
+    "noise",
+    "reset",
+    "skip",
+    "tune",
+)
 
 
 def happens(bench: Bench, event: str, rng: np.random.Generator) -> None:
@@ -230,6 +273,11 @@ def happens(bench: Bench, event: str, rng: np.random.Generator) -> None:
         bench.reset(rng.uniform(poses[:, 0], poses[:, 1]))
     elif event == "skip":
         bench.skip(int(rng.integers(1, 8)))
+    elif event == "tune":
+        free, avoid = str(rng.choice(["3", "all"])), bool(rng.random() < 0.5)
+        slow, standoff_m, time_s = rng.uniform(0.04, 1), rng.uniform(0.5, 2), rng.uniform(0.05, 10)
+        way = MotionOptions(free, avoid, slow, standoff_m, time_s)
+        bench.loop.tune(way, str(rng.choice(estimators.NAMES)))
     bench.run(rng.integers(1, 31) / 30)
 
 

@@ -66,6 +66,9 @@ def test_latency_and_inverse_kinematics_are_told(summary: dict[str, Any]) -> Non
 def test_pictures_and_markdown_are_written(folder: Path) -> None:
     pictures = {f"{test}_{what}.png" for test in ("part1", "part2", "all") for what in ("angles", "errors")}
     names = {"report.md", "table1.png", *pictures}
-    assert names <= {file.name for file in folder.iterdir()}
+    assert names | {"report.html"} <= {file.name for file in folder.iterdir()}
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count('src="data:image/png;base64,') == len(pictures) + 1
+    assert ".png" not in page
     text = (folder / "report.md").read_text(encoding="utf-8")
     assert all(name in text for name in names - {"report.md"})

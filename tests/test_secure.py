@@ -24,7 +24,7 @@ from armsight_operator.certs.configuration import configurations
 from armsight_operator.certs.folder import Folder
 from armsight_operator.certs.layout import CONFIGURATION, ROUTER
 from armsight_operator.stack import Stack, free_port
-from rig import SERVICES, Rig
+from rig import SERVICES, Rig, started
 
 ROOT = Path(__file__).parents[1]
 BEARERS = {name: name for name in (ROUTER, *SERVICES, "operator", "viewer")}
@@ -56,11 +56,8 @@ def certificates(tmp_path_factory: pytest.TempPathFactory, port: int) -> Folder:
 @pytest.fixture(scope="module")
 def shared_secure(tmp_path_factory: pytest.TempPathFactory, certificates: Folder, port: int) -> Iterator[Rig]:
     """One stack for all tests: everything goes over mutual TLS, each with its own rights."""
-    rig = Rig(Stack(out=tmp_path_factory.mktemp("stack"), port=port, certificates=certificates.path))
-    rig.start_all()
-    rig.wait_ready()
-    yield rig
-    rig.close()
+    with started(Stack(out=tmp_path_factory.mktemp("stack"), port=port, certificates=certificates.path)) as rig:
+        yield rig
 
 
 @pytest.fixture

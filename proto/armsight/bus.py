@@ -42,6 +42,23 @@ class Received(Generic[M]):
     """Monotonic clock of this process."""
 
 
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One message as it came, for whoever keeps it or passes it on."""
+
+    topic: Topic[Any]
+    name: str
+    """What stands for ``{name}`` in the key; empty where the topic has none."""
+    payload: bytes
+    attachment: bytes
+    """Empty where there is none."""
+
+    @property
+    def key(self) -> str:
+        """Relative to the namespace."""
+        return self.topic.key_for(self.name or None)
+
+
 class Publisher(Generic[M]):
     """Puts one kind of message on one key."""
 
@@ -285,6 +302,56 @@ class Bus:
         subscriber = Subscriber(topic, inner, size, self.counters, on_message)
         self._threads.append(subscriber.thread)
         return subscriber
+
+    def tap(
+        self, topic: Topic[Any], take: Callable[[Sample], None], name: str | None = None, *, fifo: int = 64
+    ) -> Callable[[], None]:
+        """Hands over every sample of a key, serialised as it came, by a thread of its own; returns what ends that.
+
+        Nothing is thrown away before ``take``: while that waits, the FIFO fills, and then everything that comes to this
+        session waits as well. Use a session of its own for it. What does not have the topic's encoding is counted and
+        left out.
+
+        Args:
+            topic: the row of the table.
+            take: gets each sample, in order.
+            name: what stands for ``{name}`` in its key; may be ``*``.
+            fifo: samples that may wait for ``take``.
+        """
+        key, expected = topic.key_for(name), encoding_of(topic.message)
+        channel: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(fifo)
+        inner: Any
+        if topic.delivery == "latched":
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+            inner = zenoh.ext.declare_advanced_subscriber(self.session, key, channel, history=history)
+        else:
+            inner = self.session.declare_subscriber(key, channel)
+
+        def read() -> None:
+            handler = inner.handler  # as in Subscriber; and the thread keeps the subscriber, whoever forgets it
+            while True:
+                try:
+                    sample = handler.recv()
+                except zenoh.ZError:
+                    return
+                if sample.kind != zenoh.SampleKind.PUT:
+                    continue
+                if str(sample.encoding) != expected:
+                    self.counters.add(f"malformed_{topic.name}")
+                    continue
+                attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
+                take(Sample(topic, topic.name_in(str(sample.key_expr)), sample.payload.to_bytes(), attachment))
+                del sample  # frames in shared memory go back to their publisher
+
+        thread = threading.Thread(target=read, name=f"tap {key}", daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+        def end() -> None:
+            inner.undeclare()
+            thread.join(timeout=1.0)
+
+        return end
 
     def presence(self, on_change: Callable[[str, bool], None] | None = None) -> Presence:
         """Watches which services are there."""

@@ -19,3 +19,7 @@ class RefusedError(ArmsightError):
 
 class SessionClosedError(ArmsightError):
     """The session ended while something was waiting on it."""
+
+
+class ParameterError(ArmsightError):
+    """A parameter that does not exist, or can't have this value; the text says what it may be."""

@@ -18,11 +18,12 @@ from armsight.bus import Bus, open_bus
 from armsight.counters import Counters
 from armsight.errors import ArmsightError, NoReplyError, SessionClosedError
 from armsight.logs import set_up_logging
+from armsight.parameters import Tunables
 from armsight.session import add_session_arguments, check_role, open_session, session_config
 from armsight.times import to_timestamp, wall_ns
-from armsight.topics import HEALTH, PARAMETERS
+from armsight.topics import ASK_PARAMETERS, HEALTH, PARAMETERS, SET_PARAMETERS
 from armsight.v1.health_pb2 import HEALTH_STATUS_WAITING, Health, HealthStatus
-from armsight.v1.parameters_pb2 import ParametersResponse
+from armsight.v1.parameters_pb2 import ParametersResponse, SetParametersRequest
 
 log = logging.getLogger(__name__)
 
@@ -97,11 +98,12 @@ class HealthReporter:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Context:
-    """What a service's body gets: the bus, its health, and when to stop."""
+    """What a service's body gets: the bus, its health, when to stop, and a place to say what may be set meanwhile."""
 
     bus: Bus
     health: HealthReporter
     stop: threading.Event
+    tunables: Tunables
 
 
 def add_service_arguments(parser: argparse.ArgumentParser) -> None:
@@ -126,7 +128,7 @@ def run_service(
     Args:
         name: the service's name in ``health/{service}``.
         arguments: parsed flags, with those of :func:`add_service_arguments`.
-        parameters: a dataclass, the configuration in force, answered on ``{service}/parameters``.
+        parameters: a dataclass, the configuration that it starts with, answered on ``{service}/parameters``.
         body: the service itself; returns soon after ``context.stop`` is set.
         shared_memory: see :class:`~armsight.session.SessionConfig`.
         role: whose certificate it shows where the bus asks for one (default: its own name's).
@@ -151,10 +153,9 @@ def run_service(
             return 0
         with open_bus(session, Counters()) as bus:
             health = HealthReporter(name, bus)
-            text = json.dumps(_as_json(parameters), default=str)
-            bus.serve(PARAMETERS, lambda _: ParametersResponse(json=text), name)
+            tunables = serve_parameters(name, bus, parameters)
             try:
-                body(Context(bus, health, stop))
+                body(Context(bus, health, stop, tunables))
             except SessionClosedError:
                 if not stop.is_set():
                     raise
@@ -178,13 +179,30 @@ def probe(name: str, arguments: argparse.Namespace) -> int:
         if session is None:
             raise NoReplyError(f"no router within {_PROBE_S:g} s")
         with open_bus(session) as bus:
-            bus.query(PARAMETERS, Empty(), name, timeout_s=_PROBE_S)
+            bus.query(ASK_PARAMETERS, Empty(), name, timeout_s=_PROBE_S)
     except ArmsightError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 1
     finally:
         timer.cancel()
     return 0
+
+
+def serve_parameters(name: str, bus: Bus, parameters: object) -> Tunables:
+    """Answers what is in force on ``{service}/parameters``, and takes new values."""
+    text = json.dumps(_as_json(parameters), default=str)
+    tunables = Tunables(bus.publisher(PARAMETERS, name).put)
+
+    def in_force() -> ParametersResponse:
+        return ParametersResponse(json=text, parameters=tunables.messages())
+
+    def change(request: SetParametersRequest) -> ParametersResponse:
+        tunables.set(request.values)
+        return in_force()
+
+    bus.serve(ASK_PARAMETERS, lambda _: in_force(), name)
+    bus.serve(SET_PARAMETERS, change, name)
+    return tunables
 
 
 def _as_json(parameters: object) -> Any:

@@ -28,12 +28,15 @@ DEFAULT_NAMESPACE = "robots/arm"
 # Three pairs of 800x800 rgb8 frames do not fit, three frames do: every process that maps the pool must lock it, and the
 # usual limit is 8 MiB.
 SHARED_MEMORY_POOL_BYTES = 6 * 1024 * 1024
-_SHARED_MEMORY_LOCK_BYTES = SHARED_MEMORY_POOL_BYTES + 3 * 512 * 1024
+SHARED_MEMORY_LOCK_BYTES = SHARED_MEMORY_POOL_BYTES + 3 * 512 * 1024
+"""Of memory that each process on the way of the frames must be allowed to lock."""
 _SHARED_MEMORY_THRESHOLD_BYTES = 65536
 _CAP_IPC_LOCK = 14
 
 # Zenoh's own: under load the loss of frames at 30 Hz falls from a tenth to nothing.
 _DATA_LOW_QUEUE = 16
+
+_RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
 
 _HINT_AFTER_ATTEMPTS = 4
 
@@ -56,6 +59,8 @@ class SessionConfig:
     mode: Literal["client", "router"] = "client"
     endpoints: tuple[str, ...] = (DEFAULT_ENDPOINT,)
     """Where a client connects to, where a router listens."""
+    links: tuple[str, ...] = ()
+    """Other routers to which a router connects, and again whenever it loses them."""
     namespace: str = DEFAULT_NAMESPACE
     """Stands before every key; empty for a router, which serves all namespaces."""
     shared_memory: Literal["off", "read", "publish"] = "read"
@@ -65,7 +70,7 @@ class SessionConfig:
 
     def __post_init__(self) -> None:
         """Refuses what Zenoh would refuse later and less clearly."""
-        for endpoint in self.endpoints:
+        for endpoint in (*self.endpoints, *self.links):
             if not _is_endpoint(endpoint):
                 raise ConfigError(f"endpoint {endpoint!r} is not of the form tcp/HOST:PORT")
         if any(
@@ -103,8 +108,8 @@ def session_config(
     connect = arguments.connect or [part for part in os.environ.get("ARMSIGHT_CONNECT", "").split(",") if part]
     namespace = arguments.namespace or os.environ.get("ARMSIGHT_NAMESPACE")
     in_file = _read_file(file) if file else None
-    if not connect and in_file is not None:
-        connect = _endpoints_in(in_file, file)
+    if not connect and file is not None:
+        connect = endpoints_in_file(file, "connect", "client")
     if namespace is None and in_file is not None:
         namespace = json.loads(in_file.get_json("namespace"))
     return SessionConfig(
@@ -113,6 +118,24 @@ def session_config(
         shared_memory="off" if os.environ.get("ARMSIGHT_SHARED_MEMORY") == "off" else shared_memory,
         file=file,
     )
+
+
+def endpoints_in_file(file: Path, which: Literal["connect", "listen"], mode: Literal["client", "router"]) -> list[str]:
+    """The endpoints that a Zenoh configuration names; none where it leaves them to Zenoh.
+
+    Raises:
+        ConfigError: what stands there are none.
+    """
+    path = f"{which}/endpoints"
+    text = _read_file(file).get_json(path)
+    if text == zenoh.Config().get_json(path):  # nothing there: Zenoh would listen on every address
+        return []
+    endpoints = json.loads(text) or []
+    if isinstance(endpoints, dict):  # one list for each mode
+        endpoints = endpoints.get(mode) or []
+    if not isinstance(endpoints, list) or not all(isinstance(endpoint, str) for endpoint in endpoints):
+        raise ConfigError(f"{file}: {path} is not a list of endpoints such as {DEFAULT_ENDPOINT!r}")
+    return endpoints
 
 
 def check_role(config: SessionConfig, service: str) -> None:
@@ -181,12 +204,14 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
     put("transport/link/tx/queue/size/data_low", _DATA_LOW_QUEUE)
     if config.mode == "router":
         put("listen/endpoints", list(config.endpoints))
-        put("connect/endpoints", [])
+        put("connect/endpoints", list(config.links))
+        put("connect/exit_on_failure", False)  # it serves its own machine meanwhile
+        put("connect/retry", _RETRY)
     else:
         put("connect/endpoints", list(config.endpoints))
         put("connect/timeout_ms", 500)
         put("connect/exit_on_failure", True)
-        put("connect/retry", {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5})
+        put("connect/retry", _RETRY)
         put("listen/endpoints", [])
         put("namespace", config.namespace)
     _put_shared_memory(put, config.shared_memory)
@@ -210,11 +235,11 @@ def _log_to_stderr() -> None:
 
 
 def _put_shared_memory(put, wanted: str) -> None:  # type: ignore[no-untyped-def]
-    allowed = wanted != "off" and _may_lock(_SHARED_MEMORY_LOCK_BYTES)
+    allowed = wanted != "off" and may_lock(SHARED_MEMORY_LOCK_BYTES)
     if wanted != "off" and not allowed:
         log.warning(
             "no shared memory: this process may lock less than %d bytes; raise `ulimit -l` to use it",
-            _SHARED_MEMORY_LOCK_BYTES,
+            SHARED_MEMORY_LOCK_BYTES,
         )
     put("transport/shared_memory/enabled", allowed)
     if allowed and wanted == "publish":
@@ -228,7 +253,8 @@ def _put_shared_memory(put, wanted: str) -> None:  # type: ignore[no-untyped-def
         put("transport/shared_memory/transport_optimization/enabled", False)
 
 
-def _may_lock(size: int) -> bool:
+def may_lock(size: int) -> bool:
+    """Whether this process may lock so many bytes of memory."""
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     return soft == resource.RLIM_INFINITY or soft >= size or _has_capability(_CAP_IPC_LOCK)
 
@@ -253,15 +279,6 @@ def _read_file(file: Path) -> zenoh.Config:
             raise ConfigError(f"{file}: {name} {path} is missing or can't be read by this user")
         settings.insert_json5(f"{tls.SETTINGS}/{name}", json.dumps(str(path)))
     return settings
-
-
-def _endpoints_in(config: zenoh.Config, file: Path | None) -> list[str]:
-    endpoints = json.loads(config.get_json("connect/endpoints")) or []
-    if isinstance(endpoints, dict):  # one list for each mode
-        endpoints = endpoints.get("client") or []
-    if not isinstance(endpoints, list) or not all(isinstance(endpoint, str) for endpoint in endpoints):
-        raise ConfigError(f"{file}: connect/endpoints is not a list of endpoints such as {DEFAULT_ENDPOINT!r}")
-    return endpoints
 
 
 def _is_endpoint(text: str) -> bool:

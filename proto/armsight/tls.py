@@ -27,7 +27,7 @@ _OURS = {
 
 _NO_TLS = "what listens there speaks no TLS: connect to tcp/…, or start the router with its --zenoh-config"
 
-_EXPIRED, _HOST_MISMATCH, _ADDRESS_MISMATCH = 10, 62, 64
+_EXPIRED, _PURPOSE, _HOST_MISMATCH, _ADDRESS_MISMATCH = 10, 26, 62, 64
 """OpenSSL's codes of what we have against the router."""
 
 
@@ -102,6 +102,8 @@ def _refusal(host: str, port: int, files: TlsFiles) -> str:
 def _theirs(error: ssl.SSLCertVerificationError, host: str, files: TlsFiles) -> str:
     if error.verify_code == _EXPIRED:
         return "the router's certificate has expired: `armsight certs renew router`, then start the router again"
+    if error.verify_code == _PURPOSE:
+        return f"what listens at {host} has no router's certificate: another bearer's key is in use there"
     if error.verify_code in (_HOST_MISMATCH, _ADDRESS_MISMATCH):
         return f"the router's certificate is not for {host}: `armsight certs renew router --host {host}`"
     return f"the router's certificate is not signed by our CA, {files.ca or 'which is not set: root_ca_certificate'}"

@@ -27,7 +27,7 @@ from armsight.v1.control_pb2 import (
 from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.health_pb2 import Health
 from armsight.v1.joints_pb2 import JointCommand, JointPositions
-from armsight.v1.parameters_pb2 import ParametersResponse
+from armsight.v1.parameters_pb2 import Parameters, ParametersResponse, SetParametersRequest
 from armsight.v1.safety_pb2 import StopRequest, StopResponse, StopState
 from armsight.v1.sim_pb2 import Clock, ResetRequest, ResetResponse
 
@@ -38,9 +38,12 @@ Response = TypeVar("Response", bound=Message)
 Delivery = Literal["latched", "drop", "block"]
 
 SERVICES = ("sim", "vision", "control")
-"""The services of the loop, in the order in which data pass them: what the table calls "each"."""
+"""The services of the loop, in the order in which data pass them."""
 
-WHO = (*SERVICES, "operator", "viewer")
+EACH = (*SERVICES, "recorder")
+"""Those that have a health of their own: what the table calls "each"."""
+
+WHO = (*EACH, "operator", "viewer")
 """Everybody to whom the table gives rights."""
 
 
@@ -170,6 +173,7 @@ CONTROL_STATUS = _topic("control_status", ControlStatus)
 STOP_STATE = _topic("stop_state", StopState)
 HEALTH = _topic("health", Health)
 CLOCK = _topic("clock", Clock)
+PARAMETERS = _topic("parameters", Parameters)
 
 TOPICS: tuple[Topic[Any], ...] = (
     DESCRIPTION,
@@ -187,6 +191,7 @@ TOPICS: tuple[Topic[Any], ...] = (
     STOP_STATE,
     HEALTH,
     CLOCK,
+    PARAMETERS,
 )
 
 STOP = _query("stop", StopRequest, StopResponse)
@@ -195,7 +200,18 @@ RESET = _query("reset", ResetRequest, ResetResponse)
 SOLVE_IK = _query("solve_ik", SolveIkRequest, SolveIkResponse)
 FORWARD_KINEMATICS = _query("forward_kinematics", ForwardKinematicsRequest, ForwardKinematicsResponse)
 MODE = _query("mode", SetModeRequest, SetModeResponse)
-PARAMETERS = _query("parameters", Empty, ParametersResponse)
+ASK_PARAMETERS = _query("parameters", Empty, ParametersResponse)
+SET_PARAMETERS = _query("set_parameters", SetParametersRequest, ParametersResponse)
 SCHEMA = _query("schema", Empty, FileDescriptorSet)
 
-QUERIES: tuple[Query[Any, Any], ...] = (STOP, RELEASE, RESET, SOLVE_IK, FORWARD_KINEMATICS, MODE, PARAMETERS, SCHEMA)
+QUERIES: tuple[Query[Any, Any], ...] = (
+    STOP,
+    RELEASE,
+    RESET,
+    SOLVE_IK,
+    FORWARD_KINEMATICS,
+    MODE,
+    ASK_PARAMETERS,
+    SET_PARAMETERS,
+    SCHEMA,
+)

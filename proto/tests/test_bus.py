@@ -173,7 +173,7 @@ def test_query_is_answered_refused_or_unanswered_with_a_reason(two_buses: Buses)
     totals = here.counters.snapshot()
     assert (totals["refused_mode"], totals["failed_mode"], totals["malformed_mode"]) == (1, 1, 1)
     with pytest.raises(NoReplyError):
-        there.query(topics.PARAMETERS, Empty(), "nobody", timeout_s=0.5)
+        there.query(topics.ASK_PARAMETERS, Empty(), "nobody", timeout_s=0.5)
 
 
 def test_presence_tells_who_comes_and_goes(two_buses: Buses) -> None:

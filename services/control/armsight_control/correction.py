@@ -17,8 +17,8 @@ import numpy as np
 from armsight_control.bodies import Seen
 from armsight_control.chain import Array
 
-# Slower than the arm's own response (some 0.1 s), faster than the error changes along a path.
-_TIME_S = 0.25
+CORRECTION_TIME_S = 0.25
+"""Slower than the arm's own response (some 0.1 s), faster than the error changes along a path."""
 # Vision must know the tip this well: a half-hidden marker is off by more than what is to be corrected.
 _SIGMA_M = 0.03
 # Faster than this a delay that is wrong by 5 ms looks like an error of 5 mm.
@@ -35,7 +35,14 @@ class Correction:
     offset: Array = field(default_factory=lambda: np.zeros(3))
 
 
-def corrected(state: Correction, seen: Seen | None, commanded: Array, speed_m_s: float, dt_s: float) -> Correction:
+def corrected(
+    state: Correction,
+    seen: Seen | None,
+    commanded: Array,
+    speed_m_s: float,
+    dt_s: float,
+    time_s: float = CORRECTION_TIME_S,
+) -> Correction:
     """The correction after one more instant.
 
     Args:
@@ -44,12 +51,13 @@ def corrected(state: Correction, seen: Seen | None, commanded: Array, speed_m_s:
         commanded: where the setpoint of the same instant puts it.
         speed_m_s: of the commanded tip.
         dt_s: since the last instant.
+        time_s: in which a difference is taken over, all but a third.
     """
     if seen is None or seen.sigma_m > _SIGMA_M or speed_m_s > _SPEED_M_S:
         return state
     difference = seen.position - commanded
     if float(np.linalg.norm(difference)) > _BLOCKED_M:
         return state
-    offset = state.offset + (1 - math.exp(-dt_s / _TIME_S)) * (difference - state.offset)
+    offset = state.offset + (1 - math.exp(-dt_s / time_s)) * (difference - state.offset)
     size = float(np.linalg.norm(offset))
     return replace(state, offset=offset * min(1.0, MOST_M / size) if size > 0 else offset)

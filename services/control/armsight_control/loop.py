@@ -171,6 +171,20 @@ class Loop:
         """Takes a mode that was checked, from the next answer on."""
         self._movement.set_mode(mode)
 
+    def tune(self, motion: MotionOptions, estimator: str) -> None:
+        """Takes another way to go and another estimator, from the next answer on.
+
+        Raises:
+            ControlError: no estimator of that name.
+        """
+        if estimator != self._estimator:
+            self._estimator = check_estimator(estimator)
+            body = self._body
+            if body is not None:
+                observer = Observer(estimator, body.arm, last_links_of(body.arm), self._counters)
+                self._body = replace(body, observer=observer)
+        self._movement.tune(motion)
+
     def begin_anew(self) -> None:
         """Sim is another one than before: its time may begin anywhere."""
         self._last = None

@@ -38,6 +38,7 @@ from armsight_control.aiming import FREE_JOINTS, carried
 from armsight_control.barrier import capsules_of
 from armsight_control.bodies import BodyNames, body_names
 from armsight_control.chain import Array
+from armsight_control.correction import CORRECTION_TIME_S
 from armsight_control.decision import Decision, holding
 from armsight_control.description import Arm
 from armsight_control.detour import Detour, Detours
@@ -86,6 +87,12 @@ class MotionOptions:
     """Of `track` and `follow`: ``3`` keeps joint 2 at 0 as the report does, ``all`` uses it."""
     avoid_box: bool = False
     """Whether links keep away from the box that vision sees."""
+    slow: float = 1.0
+    """Share of the speed limits to keep to, above 0. What keeps off the box may use all of them."""
+    standoff_m: float = DISTANCE_M
+    """Of the tip from the sphere in `follow`."""
+    correction_time_s: float = CORRECTION_TIME_S
+    """In which the difference of tip seen and tip commanded is corrected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +209,13 @@ class Movement:
         self.pointed = self.clearance_m = None
         self._pointing.forget()
 
+    def tune(self, options: MotionOptions) -> None:
+        """Takes another way to go, from the next instant on; a setpoint in motion goes on from its state."""
+        if options.free_joints != self._options.free_joints:
+            self._free = FREE_JOINTS[options.free_joints]
+            self._pointing.move(self._free)
+        self._options = options
+
     def rest(self) -> None:
         """Nothing was commanded, or something else is in force: motion begins anew, from rest."""
         self._state = None
@@ -259,7 +273,8 @@ class Movement:
             return
         commanded = forward(body.arm.chain, self._history.at(step.capture_ns, setpoint))
         learns = self.mode in AIMING and step.capture_ns - self._rested_ns > _SETTLED_NS
-        body.sight.look(message, positions, commanded, step, learns=learns)
+        learn_s = self._options.correction_time_s if learns else None
+        body.sight.look(message, positions, commanded, step, learn_s)
 
     def move(self, setpoint: Array, step: Step, lead_s: float) -> Decision:
         """The next setpoint, or why there is none.
@@ -279,7 +294,7 @@ class Movement:
         way = self._way(now)
         if isinstance(way, Decision):
             return self._come_to_rest(now, way)
-        stepped = body.planner.towards(now.state, way.goal, step.dt_s, way.slow)
+        stepped = body.planner.towards(now.state, way.goal, step.dt_s, way.slow * self._options.slow)
         detour = self._detour(now, stepped.state)
         if isinstance(detour, Decision):
             return self._come_to_rest(now, detour)
@@ -328,13 +343,14 @@ class Movement:
         def missed_m(point: Array) -> float:
             return carried(chain, self._free, point, now.state.position)[1]
 
-        side = side_of(centre.position, shoulder, self._side, missed_m)
+        distance_m = self._options.standoff_m
+        side = side_of(centre.position, shoulder, distance_m, self._side, missed_m)
         if self._side is not None and side != self._side:
             self._counters.add("side_switch")
         self._side = side
-        point = beside(centre, shoulder, side)
+        point = beside(centre, shoulder, distance_m, side)
         self._standoff = Target(now.step.capture_ns, point.position)
-        return self._point(now, point, f"the point {DISTANCE_M:g} m from {name}")
+        return self._point(now, point, f"the point {distance_m:g} m from {name}")
 
     def _point(self, now: _Now, point: Moving, what: str) -> _Way | Decision:
         chain, present = now.body.arm.chain, now.state.position

@@ -45,6 +45,11 @@ class Pointing:
         self._rng = np.random.default_rng(seed)
         self.forget()
 
+    def move(self, free: tuple[int, ...]) -> None:
+        """Lets these joints move, and no others: the branch is chosen anew."""
+        self._free = free
+        self.forget()
+
     def forget(self) -> None:
         """Of another target or mode: the branch is chosen anew."""
         self.solution: Solution | None = None

@@ -30,13 +30,21 @@ class Pursuit:
     def __init__(self, loop: Loop, lock: threading.Lock, solver: str) -> None:
         """Starts loading what the solver needs."""
         self.solvers = Solvers()
-        self.solvers.prepare(solver)
         self._loop = loop
         self._lock = lock
-        self._solver = solver
+        self.solve_with(solver)
         self._job: tuple[Target, Future[Timed[Solution]]] | None = None
         self._seconds: deque[float] = deque(maxlen=100)
         self._previous_capture_ns = 0
+
+    def solve_with(self, solver: str) -> None:
+        """Takes a solver for the next targets, and begins to load what it needs.
+
+        Raises:
+            SolverError: no solver of that name.
+        """
+        self.solvers.prepare(solver)
+        self._solver = solver
 
     def gauges(self) -> dict[str, float]:
         """Current values for health."""

@@ -52,11 +52,11 @@ class Queries:
     """Answers requests; each from a thread of its own."""
 
     def __init__(self, loop: Loop, lock: threading.Lock, solvers: Solvers, settings: Settings) -> None:
-        """Shares loop and solvers with the thread that answers positions."""
+        """Shares loop and solvers with the thread that answers positions; `settings` may be replaced meanwhile."""
         self._loop = loop
         self._lock = lock
         self._solvers = solvers
-        self._settings = settings
+        self.settings = settings
         self._rng = np.random.default_rng(settings.seed)
         self._previous: Array | None = None
 
@@ -77,7 +77,7 @@ class Queries:
     def solve_ik(self, request: SolveIkRequest) -> SolveIkResponse:
         """Solves for one target, or for many."""
         chain = self._chain()
-        name = request.solver or self._settings.solver
+        name = request.solver or self.settings.solver
         check_solver(name)
         free = _free_of(request.free, chain)
         if request.targets:
@@ -88,7 +88,7 @@ class Queries:
             raise SolverError("no target: expected a point in the base frame, metres")
         target = finite_target(request.target.x, request.target.y, request.target.z)
         begin = self._start(request, chain)
-        solved = self._await(self._solvers.submit(name, Problem(chain, target, begin, free, self._settings.ik)))
+        solved = self._await(self._solvers.submit(name, Problem(chain, target, begin, free, self.settings.ik)))
         solution = solved.solution
         self._previous = solution.q
         one = _answer(solution, chain)
@@ -106,7 +106,7 @@ class Queries:
         self, name: str, chain: Chain, targets: Array, begin: Array, free: tuple[int, ...]
     ) -> SolveIkResponse:
         starts = np.tile(begin, (len(targets), 1))
-        solved = self._await(self._solvers.submit_batch(name, chain, targets, starts, free, self._settings.ik))
+        solved = self._await(self._solvers.submit_batch(name, chain, targets, starts, free, self.settings.ik))
         solutions = solved.solution
         return SolveIkResponse(
             solutions=[_answer(solutions[i], chain) for i in range(len(solutions))],
@@ -118,7 +118,7 @@ class Queries:
         if request.start:
             begin = configuration_of(request.start, chain)
             return begin if request.free else with_joint2_at_0(chain, begin)
-        return start(chain, self._settings.initialisation, self._previous, self._rng)
+        return start(chain, self.settings.initialisation, self._previous, self._rng)
 
     def _await(self, future: "Future[Timed[S]]") -> "Timed[S]":
         try:

@@ -7,10 +7,12 @@ lockstep the answer waits for the solution of the present target, so that runs r
 import gc
 import sys
 import threading
+from collections.abc import Mapping
 from time import monotonic
 
 from armsight.bus import Received
 from armsight.errors import ArmsightError
+from armsight.parameters import Value
 from armsight.service import EXIT_CONFIG, Context, run_service
 from armsight.times import wall_ns
 from armsight.topics import (
@@ -43,6 +45,7 @@ from armsight_control.pursuit import Pursuit
 from armsight_control.queries import Queries
 from armsight_control.settings import Settings, parser, settings_of
 from armsight_control.solvers import check_solver
+from armsight_control.tuning import tunables, tuned
 
 # Without positions for this long the status says so, and again as often.
 QUIET_S = 0.25
@@ -70,6 +73,7 @@ class Service:
         bus.subscriber(STOP_STATE, on_message=lambda got: self._locked(self._loop.stop, got.message))
         bus.subscriber(TARGET, on_message=lambda got: self._locked(self._loop.aim, got.message))
         self._clock = bus.subscriber(CLOCK)
+        context.tunables.declare(tunables(settings), self._tune)
         bus.presence(self._seen)
         bus.serve(MODE, self._queries.mode)
         bus.serve(FORWARD_KINEMATICS, self._queries.forward_kinematics)
@@ -146,6 +150,13 @@ class Service:
     def _locked(self, take, message) -> None:  # type: ignore[no-untyped-def]
         with self._lock:
             take(message)
+
+    def _tune(self, values: Mapping[str, Value]) -> None:
+        settings = tuned(self._queries.settings, values)
+        with self._lock:
+            self._loop.tune(settings.way, settings.estimator)
+        self._pursuit.solve_with(settings.solver)
+        self._queries.settings = settings
 
     def _seen(self, service: str, here: bool) -> None:
         if service == "sim" and here:

@@ -41,7 +41,7 @@ class Sight:
         return self._correction.offset
 
     def look(
-        self, message: JointPositions, positions: Positions, commanded: Array, step: Step, *, learns: bool
+        self, message: JointPositions, positions: Positions, commanded: Array, step: Step, learn_s: float | None
     ) -> None:
         """Takes what vision saw.
 
@@ -50,7 +50,8 @@ class Sight:
             positions: the arm's markers in it, checked.
             commanded: where the setpoint of this instant puts the tip, base frame, metres.
             step: this instant.
-            learns: whether the arm follows the setpoint closely, so that a difference says something of the model.
+            learn_s: in which time a difference is taken for one of the model; none where the arm does not follow the
+                setpoint closely, so that it says nothing of that.
 
         Raises:
             PositionsError: the tip jumped as nobody told it to.
@@ -65,8 +66,8 @@ class Sight:
         self._commanded = commanded
         self._expected = safety.expect(self._expected, tip, commanded)
         safety.check_expected(self._expected)
-        if learns:
-            self._correction = corrected(self._correction, tip, commanded, speed, step.dt_s)
+        if learn_s is not None:
+            self._correction = corrected(self._correction, tip, commanded, speed, step.dt_s, learn_s)
 
     def sphere(self, step: Step, effect_ns: int) -> Moving | None:
         """The sphere's centre in motion at an instant; nothing where it was not seen for too long."""

@@ -15,6 +15,7 @@ from armsight_control.chain import Array
 from armsight_control.tracking import Moving
 
 DISTANCE_M = 1.0
+"""From the sphere's centre, where nothing else is said."""
 
 BEFORE, BEYOND = -1, 1
 """Sides of the sphere, as signs along the line from the shoulder."""
@@ -24,32 +25,35 @@ _DIFFERENCE_S = 0.01
 _BETTER_M = 0.1
 
 
-def beside(centre: Moving, shoulder: Array, side: int) -> Moving:
+def beside(centre: Moving, shoulder: Array, distance_m: float, side: int) -> Moving:
     """The point on one side of the sphere, in motion with it."""
-    now = _point(centre.position, shoulder, side)
-    later = _point(centre.position + _DIFFERENCE_S * centre.velocity, shoulder, side)
+    now = _point(centre.position, shoulder, distance_m, side)
+    later = _point(centre.position + _DIFFERENCE_S * centre.velocity, shoulder, distance_m, side)
     return Moving(now, (later - now) / _DIFFERENCE_S)
 
 
-def side_of(centre: Array, shoulder: Array, present: int | None, missed_m: Callable[[Array], float]) -> int:
+def side_of(
+    centre: Array, shoulder: Array, distance_m: float, present: int | None, missed_m: Callable[[Array], float]
+) -> int:
     """The side to be on: the present one as long as it is reached, else the one that the tip gets nearer to.
 
     Args:
         centre: of the sphere, base frame.
         shoulder: base frame.
+        distance_m: from the centre to the point.
         present: side, if one was chosen; before the sphere is preferred without.
         missed_m: how far the tip stays from a point.
     """
     first = BEFORE if present is None else present
-    missed = missed_m(_point(centre, shoulder, first))
+    missed = missed_m(_point(centre, shoulder, distance_m, first))
     if missed < NEAR_M:
         return first
-    other = missed_m(_point(centre, shoulder, -first))
+    other = missed_m(_point(centre, shoulder, distance_m, -first))
     return -first if other < max(NEAR_M, missed - _BETTER_M) else first
 
 
-def _point(centre: Array, shoulder: Array, side: int) -> Array:
+def _point(centre: Array, shoulder: Array, distance_m: float, side: int) -> Array:
     line = centre - shoulder
     length = float(np.linalg.norm(line))
     along = line / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
-    return np.asarray(centre + side * DISTANCE_M * along)
+    return np.asarray(centre + side * distance_m * along)

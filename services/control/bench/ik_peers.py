@@ -40,6 +40,8 @@ class Peer(ABC):
         self.names = [name for name in _LINKS if joints == 4 or name != "joint2"]
         self.upper = np.array([_LIMITS[name] for name in self.names])
         self.rng = np.random.default_rng(7)
+        self.posture: Array | None = None
+        """A configuration with an orientation that can be had at the target, for who needs one; none: nobody knows."""
         self.set_up()
 
     @abstractmethod
@@ -296,7 +298,7 @@ class Ikpy(Peer):
 
 
 class TracIk(Peer):
-    """TRAC-IK solves for whole poses only: it is asked to keep the start's orientation, and mostly can't."""
+    """TRAC-IK solves for whole poses only: it is told the orientation that the target was made with, or the start's."""
 
     packages = ("pytracik",)
 
@@ -307,8 +309,8 @@ class TracIk(Peer):
         self.solver = TracIK("base", "ee", self.urdf_file(), timeout=0.02, epsilon=TOLERANCE_M)
 
     def solve(self, target: Array, start: Array) -> Array:
-        """With the orientation that the start has."""
-        found = self.solver.ik(target, self.solver.fk(start)[1], start)
+        """With an orientation where there is one, else with that of the start."""
+        found = self.solver.ik(target, self.solver.fk(start if self.posture is None else self.posture)[1], start)
         return start if found is None else np.asarray(found)
 
 
@@ -339,12 +341,14 @@ class Remote:
         self.process: subprocess.Popen[str] = subprocess.Popen(
             [python, __file__, name, str(joints)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
+        self.posture: Array | None = None
         self._read()
 
     def solve(self, target: Array, start: Array) -> tuple[Array, float]:
         """The solution, and the seconds that the peer took for it."""
         assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps([target.tolist(), start.tolist()]) + "\n")
+        posture = None if self.posture is None else self.posture.tolist()
+        self.process.stdin.write(json.dumps([target.tolist(), start.tolist(), posture]) + "\n")
         self.process.stdin.flush()
         q, seconds = self._read()
         return np.array(q), seconds
@@ -370,7 +374,10 @@ def serve(name: str, joints: int) -> None:
     peer = PEERS[name](joints)
     print(json.dumps("ready"), file=out, flush=True)
     for line in sys.stdin:
-        target, start = (np.array(values) for values in json.loads(line))
+        target, start, posture = (None if values is None else np.array(values) for values in json.loads(line))
+        assert target is not None
+        assert start is not None
+        peer.posture = posture
         began = perf_counter()
         q = peer.solve(target, start)
         print(json.dumps([np.asarray(q).tolist(), perf_counter() - began]), file=out, flush=True)

@@ -2,6 +2,9 @@
 
 import json
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -99,3 +102,18 @@ def test_a_compiled_block_does_what_its_source_does(kind: packages.Kind, tmp_pat
         eager = packages.MODULES[kind]()(*inputs)
         for expected, found in zip(eager, compiled.call(inputs), strict=True):
             np.testing.assert_allclose(found.numpy(), expected.numpy(), rtol=1e-4, atol=1e-5)
+
+
+def test_a_process_that_is_killed_leaves_nothing_that_torch_unpacked(tmp_path: Path) -> None:
+    program = """
+import os, signal
+from armsight_control.solvers.packages import block
+assert block("descent", 3).backend == "compiled", block("descent", 3).trouble
+assert "TMPDIR" in os.environ
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -10,7 +10,7 @@ from armsight_control.chain import Array
 from armsight_control.correction import MOST_M, Correction, corrected
 from armsight_control.description import Arm
 from armsight_control.errors import PositionsError
-from armsight_control.standoff import BEFORE, BEYOND, beside, side_of
+from armsight_control.standoff import BEFORE, BEYOND, DISTANCE_M, beside, side_of
 from armsight_control.tracking import Moving
 from armsight_control.trajectory import MotionLimits
 
@@ -82,10 +82,10 @@ def test_the_place_beside_a_sphere_is_a_metre_off_on_the_line_to_the_shoulder() 
     shoulder, centre = np.array([0.0, 0.0, 4.0]), np.array([2.0, 2.0, 5.0])
     velocity = np.array([0.3, -0.1, 0.2])
     for side in (BEFORE, BEYOND):
-        found = beside(Moving(centre, velocity), shoulder, side)
+        found = beside(Moving(centre, velocity), shoulder, DISTANCE_M, side)
         assert np.linalg.norm(found.position - shoulder) == pytest.approx(3.0 + side)
         assert np.linalg.norm(found.position - centre) == pytest.approx(1.0)
-        later = beside(Moving(centre + 1e-3 * velocity, velocity), shoulder, side).position
+        later = beside(Moving(centre + 1e-3 * velocity, velocity), shoulder, DISTANCE_M, side).position
         np.testing.assert_allclose(found.velocity, (later - found.position) / 1e-3, atol=1e-2)
 
 
@@ -95,8 +95,10 @@ def test_the_side_is_kept_as_long_as_it_is_reached_and_else_the_nearer_one_is_ta
     def folds_to(least_m: float) -> Callable[[Array], float]:
         return lambda point: max(0.0, least_m - float(np.linalg.norm(point - shoulder)))
 
-    assert side_of(centre, shoulder, None, folds_to(1.0)) == BEFORE
-    assert side_of(centre, shoulder, None, folds_to(3.0)) == BEYOND
-    assert side_of(centre, shoulder, BEYOND, folds_to(1.0)) == BEYOND
-    assert side_of(centre, shoulder, None, folds_to(4.5)) == BEYOND
-    assert side_of(centre, shoulder, BEFORE, lambda _: 1.0) == BEFORE, "no to and fro between two that are as far"
+    assert side_of(centre, shoulder, DISTANCE_M, None, folds_to(1.0)) == BEFORE
+    assert side_of(centre, shoulder, DISTANCE_M, None, folds_to(3.0)) == BEYOND
+    assert side_of(centre, shoulder, DISTANCE_M, BEYOND, folds_to(1.0)) == BEYOND
+    assert side_of(centre, shoulder, DISTANCE_M, None, folds_to(4.5)) == BEYOND
+    assert side_of(centre, shoulder, DISTANCE_M, BEFORE, lambda _: 1.0) == BEFORE, (
+        "no to and fro between two that are as far"
+    )

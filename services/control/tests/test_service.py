@@ -21,6 +21,7 @@ from armsight.errors import NoReplyError, RefusedError
 from armsight.session import SessionConfig, open_session
 from armsight.times import from_timestamp, to_timestamp
 from armsight.topics import (
+    ASK_PARAMETERS,
     CLOCK,
     CONTROL_STATUS,
     DESCRIPTION,
@@ -31,7 +32,7 @@ from armsight.topics import (
     JOINTS_ACCEPTED,
     JOINTS_ESTIMATED,
     MODE,
-    PARAMETERS,
+    SET_PARAMETERS,
     SOLVE_IK,
     STOP_STATE,
     TARGET,
@@ -60,6 +61,7 @@ from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.geometry_pb2 import Vector3
 from armsight.v1.health_pb2 import HEALTH_STATUS_OK, HEALTH_STATUS_WAITING
 from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, JointCommand, JointSetpoint, MarkerStatus
+from armsight.v1.parameters_pb2 import ParameterValue, SetParametersRequest
 from armsight.v1.safety_pb2 import StopSource, StopState
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP, Clock
 from armsight_control.chain import Array
@@ -425,7 +427,16 @@ def test_queries_answer_and_refuse_with_a_text(rig: Rig) -> None:
     assert rig.asked(SetModeRequest()) == CONTROL_MODE_HOLD
     with pytest.raises(RefusedError, match="there are hold, joints, test-1, test-2, test-all, track, follow"):
         rig.bus.query(MODE, SetModeRequest.FromString(b"\x08\x63"))
-    assert '"solver": "closed-form"' in rig.bus.query(PARAMETERS, PARAMETERS.request(), "control").json
+    assert '"solver": "closed-form"' in rig.bus.query(ASK_PARAMETERS, ASK_PARAMETERS.request(), "control").json
+    with pytest.raises(RefusedError, match=r"speed is a number within 0.01 to 0.3, not 0.4"):
+        rig.bus.query(SET_PARAMETERS, SetParametersRequest(values={"speed": ParameterValue(number=0.4)}), "control")
+    slower = SetParametersRequest(
+        values={"solver": ParameterValue(text="gradient-descent"), "speed": ParameterValue(number=0.1)}
+    )
+    rig.bus.query(SET_PARAMETERS, slower, "control")
+    # the solver in force is the one that was set
+    with pytest.raises(RefusedError, match="gradient-descent takes at most 16"):
+        rig.bus.query(SOLVE_IK, SolveIkRequest(targets=[target] * 17))
 
 
 def solved_once_loaded(rig: Rig, request: SolveIkRequest) -> SolveIkResponse:

@@ -8,27 +8,34 @@ from armsight.tls import host_and_port
 from armsight_operator.errors import InsecureBindError
 
 _WITH_CERTIFICATES = ("tls", "quic")
-_OVER_NETWORK = ("tcp", "udp", "ws", *_WITH_CERTIFICATES)
+_IN_FILE_SYSTEM = ("unixsock-stream", "unixpipe")
+_MUTUAL = "enable_mtls"
 
 
-def check_exposure(endpoints: Sequence[str], *, mutual_tls: bool) -> None:
+def check_exposure(endpoints: Sequence[str], *, mutual_tls: bool, links: Sequence[str] = ()) -> None:
     """Refuses endpoints at which anybody on the network could command the arm.
 
     Args:
         endpoints: where a router is to listen.
         mutual_tls: whether it lets nobody in without a certificate of its own CA, where it speaks TLS.
+        links: other routers that it is to connect to.
 
     Raises:
-        InsecureBindError: an endpoint that other machines reach without one.
+        InsecureBindError: an endpoint that other machines reach, or a router on one, without certificates.
     """
     for endpoint in endpoints:
-        if is_local(endpoint) or (mutual_tls and endpoint.partition("/")[0] in _WITH_CERTIFICATES):
-            continue
-        raise InsecureBindError(
-            f"{endpoint} is open to every machine that reaches this one, without certificates: whoever connects moves "
-            "the arm. Listen on 127.0.0.1, or with certificates (`armsight certs make`, docs/security.md), "
-            "or say --insecure-bind"
-        )
+        if not _is_safe(endpoint, mutual_tls=mutual_tls):
+            raise InsecureBindError(
+                f"{endpoint} is open to every machine that reaches this one, without certificates: whoever connects "
+                "moves the arm. Listen on 127.0.0.1, or with certificates (`armsight certs make`, docs/security.md), "
+                "or say --insecure-bind"
+            )
+    for link in links:
+        if not _is_safe(link, mutual_tls=mutual_tls):
+            raise InsecureBindError(
+                f"a link to {link} has no certificates: whoever connects to the router there moves the arm here. "
+                "Link with certificates (`armsight certs make --router`, docs/deploy.md), or say --insecure-bind"
+            )
 
 
 def check_page_exposure(host: str) -> None:
@@ -73,7 +80,7 @@ def _is_number(name: str) -> bool:
 def is_local(endpoint: str) -> bool:
     """Whether only processes of this machine can connect there."""
     protocol, _, address = endpoint.partition("/")
-    if protocol not in _OVER_NETWORK:  # a socket in the file system and the like
+    if protocol in _IN_FILE_SYSTEM:
         return True
     host, _ = host_and_port(address)
     try:
@@ -82,10 +89,23 @@ def is_local(endpoint: str) -> bool:
         return host == "localhost"
 
 
+def _is_safe(endpoint: str, *, mutual_tls: bool) -> bool:
+    return is_local(endpoint) or _wants_certificates(endpoint, mutual_tls=mutual_tls)
+
+
+def _wants_certificates(endpoint: str, *, mutual_tls: bool) -> bool:
+    """What stands after # configures this endpoint alone, and wins over the file."""
+    if endpoint.partition("/")[0] not in _WITH_CERTIFICATES:
+        return False
+    pairs = [pair.partition("=") for pair in endpoint.partition("#")[2].split(";")]
+    own = [value == "true" for name, _, value in pairs if name == _MUTUAL]
+    return all(own) if own else mutual_tls
+
+
 def reachable_from_here(endpoint: str) -> str:
     """Where this machine connects to what listens at an endpoint: every address is also the loopback's."""
     protocol, _, address = endpoint.partition("/")
-    host, _ = host_and_port(address)
+    host, port = host_and_port(address)
     try:
         is_every = ipaddress.ip_address(host).is_unspecified
     except ValueError:
@@ -93,4 +113,4 @@ def reachable_from_here(endpoint: str) -> str:
     if not is_every:
         return endpoint
     loopback = "[::1]" if ":" in host else "127.0.0.1"
-    return f"{protocol}/{loopback}{address[address.rindex(':') :]}"
+    return f"{protocol}/{loopback}:{port}"

@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from armsight import topics
 from armsight.bus import Bus, Received
@@ -101,8 +102,10 @@ class Monitor:
         """What is known now."""
         now = time.monotonic()
         with self._lock:
-            names = [*SERVICES, *sorted(set(self._health) - set(SERVICES))]
-            services = tuple(_service_state(name, self._health.get(name), now) for name in names)
+            # whoever else is there may leave again: silence of a recorder is no trouble
+            others = {name for name, health in self._health.items() if now - health.received_s <= _STALE_S}
+            names = [*SERVICES, *sorted(others - set(SERVICES))]
+            services = tuple(service_state(name, self._health.get(name), now) for name in names)
             fresh = self._status is not None and now - self._status.received_s < _STALE_S
             status = self._status.message if fresh and self._status is not None else ControlStatus()
             recent = [at for at in self._answers if now - at < _RATE_WINDOW_S]
@@ -112,7 +115,7 @@ class Monitor:
         return Snapshot(
             services=services,
             mode=mode_name(status.mode) if fresh else "",
-            state=_word(ControlState.Name(status.state), "CONTROL_STATE_") if fresh else "",
+            state=word(ControlState, status.state, "CONTROL_STATE_") if fresh else "",
             detail=status.detail,
             joints={joint.name: joint.position_rad for joint in status.joints},
             tip=(status.tip.x, status.tip.y, status.tip.z) if has_pose else None,
@@ -141,16 +144,28 @@ class Monitor:
             self._stop = received.message
 
 
-def _service_state(name: str, received: Received[Health] | None, now: float) -> ServiceState:
+def service_state(name: str, received: Received[Health] | None, now: float) -> ServiceState:
+    """What a service's last health means at a time of the monotonic clock, seconds."""
     if received is None or now - received.received_s > _STALE_S:
         return ServiceState(name, "missing", "not heard of" if received is None else "silent: restart it")
     health = received.message
-    status = "ok" if health.status == HEALTH_STATUS_OK else _word(HealthStatus.Name(health.status), "HEALTH_STATUS_")
+    status = "ok" if health.status == HEALTH_STATUS_OK else word(HealthStatus, health.status, "HEALTH_STATUS_")
     return ServiceState(name, status, health.detail, dict(health.counters), dict(health.gauges))
 
 
-def _word(name: str, prefix: str) -> str:
-    return name.removeprefix(prefix).lower()
+class Enum(Protocol):
+    """An enumeration of protobuf's."""
+
+    def Name(self, number: int) -> str:  # noqa: N802  (protobuf's)
+        """The name of a value, or ValueError."""
+
+
+def word(enum: Enum, value: int, prefix: str) -> str:
+    """A value of an enumeration in a person's word; from a newer version it may be one that has none here."""
+    try:
+        return enum.Name(value).removeprefix(prefix).lower()
+    except ValueError:
+        return "unknown"
 
 
 def _percentile(ordered: Iterable[float], share: float) -> float | None:

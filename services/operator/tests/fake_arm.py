@@ -6,6 +6,8 @@ import time
 from armsight import topics
 from armsight.bus import Bus
 from armsight.errors import ArmsightError
+from armsight.parameters import Tunable
+from armsight.service import serve_parameters
 from armsight.times import to_timestamp
 from armsight.v1.control_pb2 import (
     CONTROL_MODE_HOLD,
@@ -34,6 +36,12 @@ _JOINTS = (
     ((0, 0, 4.0), (0, 1, 0), math.pi / 2),
     ((0, 0, 0), (1, 0, 0), math.pi / 2),
     ((0, 0, 3.2), (0, 1, 0), math.pi / 2),
+)
+TUNABLES = (
+    Tunable("speed", "share of the joints' speed", 0.3, "", 0.01, 0.5),
+    Tunable("steps", "of a descent", 10, "steps", 1, 100),
+    Tunable("avoid_box", "keep off the box", False),
+    Tunable("solver", "of inverse kinematics", "torch", choices=("torch", "closed-form")),
 )
 _MARKERS = (("green", 0, 0.35), ("yellow", 1, 0.30), ("blue", 3, 0.20), ("red", 3, 2.95))
 
@@ -78,6 +86,7 @@ class FakeArm:
         bus.serve(topics.RESET, self._reset)
         bus.serve(topics.STOP, self._set_stop)
         bus.serve(topics.RELEASE, self._set_stop)
+        serve_parameters("control", bus, {}).declare(TUNABLES, lambda _: None)
 
     def wait_for_listeners(self) -> None:
         """Until somebody hears of health and status: what is said before is lost."""

@@ -3,6 +3,7 @@
 import json
 import re
 import stat
+import threading
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -55,12 +56,13 @@ def keys(folder: Folder) -> dict[str, bytes]:
     return {file.parent.name: file.read_bytes() for file in folder.path.glob("*/key.pem")}
 
 
-def test_certificate_names_its_bearer_and_serves_both_ends(folder: Folder) -> None:
+def test_certificate_names_its_bearer_and_only_the_routers_serves_others(folder: Folder) -> None:
     for name, role in BEARERS.items():
         certificate = read(folder, name)
         assert (authority.name_of(certificate), authority.role_of(certificate)) == (name, role)
         usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
-        assert set(usage) == {ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH}
+        server = {ExtendedKeyUsageOID.SERVER_AUTH} if role == "router" else set()
+        assert set(usage) == {ExtendedKeyUsageOID.CLIENT_AUTH} | server
         certificate.verify_directly_issued_by(read(folder, "ca"))
         assert not certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
 
@@ -153,6 +155,99 @@ def test_trouble_of_another_authority_another_key_and_open_files_is_told(folder:
     assert "chmod 600" in trouble("router")
 
 
+def test_hosts_of_the_first_router_are_not_anothers(tmp_path: Path) -> None:
+    folder = Folder(tmp_path)
+    folder.make({"router": "router", "edge": "router"}, ["localhost"], days=1, ca_days=1, more_hosts=["center.local"])
+    assert authority.hosts_of(read(folder, "router")) == ("localhost", "center.local")
+    folder.renew([], days=1, hosts=["10.0.0.1"])
+    assert authority.hosts_of(read(folder, "edge")) == ("localhost",)
+    folder.renew(["edge"], days=1, hosts=["edge.local"])
+    assert authority.hosts_of(read(folder, "edge")) == ("localhost", "edge.local")
+    assert authority.hosts_of(read(folder, "router")) == ("localhost", "center.local", "10.0.0.1")
+
+
+def test_nothing_is_signed_for_a_certificate_that_somebody_put_there(folder: Folder, tmp_path: Path) -> None:
+    # a viewer's folder comes back from elsewhere with more in it than was given out
+    other = Folder(tmp_path / "other")
+    other.make({"router": "router", "wall": "operator"}, HOSTS, days=90, ca_days=3650)
+    forged = (other.path / "wall/certificate.pem").read_bytes()
+    for content in (forged, (folder.path / "sim/certificate.pem").read_bytes()):
+        (folder.path / "wall/certificate.pem").write_bytes(content)
+        for act in (folder.roles, lambda: folder.renew([], days=1), lambda: folder.make(BEARERS, HOSTS, 1, 1)):
+            with pytest.raises(CertificateError, match="not what this CA signed for wall"):
+                act()
+    assert authority.role_of(read(folder, "wall")) == "sim"
+    folder.renew(["sim"], days=1)  # the others can go on
+
+
+def test_nothing_is_made_where_others_can_put_keys_of_their_own(tmp_path: Path) -> None:
+    for name in ("", "ca", "sim"):
+        folder = Folder(tmp_path / f"in{name}")
+        (folder.path / name).mkdir(mode=0o700, parents=True)
+        folder.path.chmod(0o700)
+        (folder.path / name).chmod(0o770)
+        with pytest.raises(CertificateError, match="others can write to"):
+            folder.make(BEARERS, HOSTS, days=1, ca_days=1)
+        assert not (folder.path / name / "key.pem").exists()
+        (folder.path / name).chmod(0o750)
+        folder.make(BEARERS, HOSTS, days=1, ca_days=1)
+        assert stat.S_IMODE((folder.path / "sim/key.pem").stat().st_mode) == 0o600
+
+
+def test_links_in_place_of_folders_and_keys_are_not_followed(folder: Folder, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (folder.path / "door").symlink_to(elsewhere)
+    with pytest.raises(CertificateError, match="is a link"):
+        folder.make({"door": "viewer"}, HOSTS, days=1, ca_days=1)
+    assert list(elsewhere.iterdir()) == []
+    key = folder.path / "sim/key.pem"
+    key.rename(elsewhere / "key.pem")
+    key.symlink_to(elsewhere / "key.pem")
+    with pytest.raises(CertificateError, match="is a link"):
+        folder.renew(["sim"], days=1)
+    folder.renew(["sim"], days=1, new_keys=True)
+    assert not key.is_symlink()
+
+
+def test_a_part_of_a_file_that_is_a_link_harms_nothing(folder: Folder, tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("mine", encoding="ascii")
+    (folder.path / "sim/.key.pem.part").symlink_to(victim)
+    folder.renew(["sim"], days=1, new_keys=True)
+    assert victim.read_text(encoding="ascii") == "mine"
+
+
+def test_keys_that_others_can_read_sign_nothing_and_are_told(folder: Folder) -> None:
+    for name, renewed in (("sim", "sim"), ("ca", "wall")):
+        (folder.path / name / "key.pem").chmod(0o640)
+        with pytest.raises(CertificateError, match="can be read by others: chmod 600"):
+            folder.renew([renewed], days=90)
+        assert "chmod 600" in next(entry.trouble for entry in folder.entries() if entry.name == name)
+        (folder.path / name / "key.pem").chmod(0o600)
+        folder.renew([renewed], days=90)
+
+
+def test_copy_of_another_authority_is_told(folder: Folder, tmp_path: Path) -> None:
+    other = Folder(tmp_path / "other")
+    other.make(BEARERS, HOSTS, days=90, ca_days=3650)
+    (folder.path / "sim/ca.pem").write_bytes((other.path / "sim/ca.pem").read_bytes())
+    assert [entry.name for entry in folder.entries() if "of another CA" in entry.trouble] == ["sim"]
+    folder.renew(["sim"], days=90)
+    assert [entry.trouble for entry in folder.entries()] == [""] * 4
+
+
+def test_several_at_once_make_one_authority(tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "certs")
+    makers = [threading.Thread(target=folder.make, args=(BEARERS, HOSTS, 1, 1)) for _ in range(8)]
+    for maker in makers:
+        maker.start()
+    for maker in makers:
+        maker.join()
+    assert {entry.trouble for entry in folder.entries()} == {"expires in 0 days: renew it"}
+    assert folder.roles() == BEARERS
+
+
 @pytest.mark.parametrize(
     ("bearers", "hosts", "reason"),
     [
@@ -163,6 +258,7 @@ def test_trouble_of_another_authority_another_key_and_open_files_is_told(folder:
         ({"X": "viewer"}, [], "can't be a name"),
         ({"router": "router"}, ["a b"], "neither a host's name nor its address"),
         ({"wall": "operator"}, [], "has a certificate as viewer"),
+        ({"robot": "viewer"}, ["robot"], "would pass for it"),
     ],
 )
 def test_what_can_not_be_is_refused_before_anything_is_made(
@@ -194,6 +290,31 @@ def test_command_makes_what_zenoh_reads(certs: Certs, tmp_path: Path) -> None:
     assert "robots/arm/" not in router
 
 
+def test_command_makes_another_router_that_speaks_for_those_behind_it(certs: Certs, tmp_path: Path) -> None:
+    code, _, _ = certs("make", "--router", "edge=sim,vision")
+    assert code == 0
+
+    def may_put(router: str, other: str) -> set[str]:
+        text = (tmp_path / "certs" / router / "zenoh.json5").read_text(encoding="utf-8")
+        control = json.loads(text.split("\n", 2)[2])["access_control"]
+        (subject,) = (subject for subject in control["subjects"] if other in subject["cert_common_names"])
+        (policy,) = (policy for policy in control["policies"] if subject["id"] in policy["subjects"])
+        rules = [rule for rule in control["rules"] if rule["id"] in policy["rules"]]
+        puts = [rule["key_exprs"] for rule in rules if rule["flows"] == ["ingress"] and rule["messages"] == ["put"]]
+        return {key.removeprefix("robots/arm/") for keys in puts for key in keys}
+
+    behind = may_put("router", "edge")
+    assert {"camera/*/image", "joints/positions", "health/sim", "health/vision"} <= behind
+    assert not {"joints/command", "health/control"} & behind
+    assert {"joints/command", "target", "health/control"} <= may_put("edge", "router")
+    # the rights of everybody else on either are the same
+    assert may_put("edge", "vision") == may_put("router", "vision") < behind
+    # said again each time, as its rules are written anew each time
+    code, _, error = certs("make")
+    assert code == 1
+    assert "--router edge=sim,vision" in error
+
+
 def test_command_shows_and_warns(certs: Certs, tmp_path: Path) -> None:
     certs("make", "--days", "30")
     code, out, _ = certs("show")
@@ -223,6 +344,8 @@ def test_command_shows_and_warns(certs: Certs, tmp_path: Path) -> None:
         (["make", "--connect", "nowhere"], 2, "nowhere"),
         (["make", "--namespace", "a//b"], 2, "a//b"),
         (["make", "--days", "0"], 2, "--days"),
+        (["make", "--router", "edge"], 2, "NAME=ROLE,ROLE"),
+        (["make", "--router", "edge=king"], 1, "can't speak for king"),
     ],
 )
 def test_mistakes_end_with_one_line(certs: Certs, words: list[str], code: int, reason: str) -> None:

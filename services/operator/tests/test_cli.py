@@ -204,3 +204,68 @@ def test_an_endpoint_that_is_none_is_a_mistake_of_the_command_line(capsys: pytes
         main(["status", "--connect", "nowhere"])
     assert ended.value.code == 2
     assert "nowhere" in capsys.readouterr().err
+
+
+def test_params_are_listed_with_their_bounds_and_who_is_silent_is_named(command: Command, arm: FakeArm) -> None:
+    del arm
+    code, out, err = command("params", "list")
+    assert code == 1
+    assert "sim and vision did not answer" in err
+    assert [line.split()[:3] for line in out.splitlines()[1:]] == [
+        ["control", "speed", "0.3"],
+        ["control", "steps", "10"],
+        ["control", "avoid_box", "false"],
+        ["control", "solver", "torch"],
+    ]
+    assert "0.01 to 0.5" in out
+    assert "1 to 100 steps" in out
+    assert "torch, closed-form" in out
+    code, out, _ = command("params", "list", "control", "--json")
+    assert code == 0
+    assert json.loads(out)["control"] == {"speed": 0.3, "steps": 10, "avoid_box": False, "solver": "torch"}
+
+
+def test_params_are_set_all_together_and_read_back(command: Command, arm: FakeArm) -> None:
+    del arm
+    code, out, _ = command("params", "set", "control", "speed=0.1", "avoid_box=true", "solver=closed-form", "steps=7")
+    assert code == 0
+    assert out.splitlines() == ["speed = 0.1", "avoid_box = true", "solver = closed-form", "steps = 7"]
+    code, out, _ = command("params", "get", "control", "avoid_box")
+    assert (code, out) == (0, "true\n")
+
+    code, _, err = command("params", "set", "control", "steps=8", "speed=0.9")
+    assert code == 1
+    assert "speed is a number within 0.01 to 0.5, not 0.9" in err
+    assert command("params", "get", "control", "steps")[1] == "7\n", "one that is refused leaves the others"
+
+
+def test_params_that_cannot_be_meant_are_refused_before_anything_is_set(command: Command, arm: FakeArm) -> None:
+    del arm
+    for words, text in (
+        (("speed",), "expected NAME=VALUE, not 'speed'"),
+        (("speed=1", "speed=2"), "speed is given twice"),
+        (("speed=fast",), "speed is a number, not 'fast'"),
+        (("steps=1.5",), "steps is a whole number, not '1.5'"),
+        (("avoid_box=yes",), "avoid_box is true or false, not 'yes'"),
+        (("colour=red",), "control has no parameter 'colour': see `armsight params list control`"),
+    ):
+        code, _, err = command("params", "set", "control", *words)
+        assert code == 2
+        assert text in err
+    code, _, err = command("params", "get", "*", "speed")
+    assert code == 2
+    assert "'*' is not the name of a service" in err
+
+
+def test_programs_get_json_of_topics(command: Command, arm: FakeArm, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["topics", "list", "--json"])
+    listed = {one["key"]: one for one in json.loads(capsys.readouterr().out)}
+    assert listed["joints/command"]["publishers"] == ["control"]
+    assert listed["joints/command"]["message"] == "armsight.v1.JointCommand"
+    with saying(arm.say_status):
+        code, out, _ = command("topics", "rate", "control/status", "--seconds", "1", "--json")
+    told = json.loads(out)
+    assert (code, told["key"]) == (0, "control/status")
+    assert told["messages"] == told["rate_hz"]
+    assert told["mean_bytes"] > 10

@@ -13,8 +13,17 @@ from armsight_operator.stack import free_port
 from secure_bus import SecureBus
 
 LOCAL = ["tcp/127.0.0.1:7447", "tcp/127.8.8.8:7447", "tcp/localhost:1", "tcp/[::1]:7447", "unixsock-stream//tmp/x"]
-OPEN = ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.2:7447", "tcp/robot.local:7447", "ws/0.0.0.0:1"]
-WITH_CERTIFICATES = ["tls/0.0.0.0:7447", "quic/[::]:7447?rel=1"]
+OPEN = [
+    *("tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.2:7447", "tcp/robot.local:7447", "ws/0.0.0.0:1"),
+    *("tcp/[::ffff:10.0.0.1]:7447", "vsock/1:7447", "serial//dev/ttyUSB0", "tcp/0.0.0.0:1#enable_mtls=true"),
+]
+WITH_CERTIFICATES = ["tls/0.0.0.0:7447", "quic/[::]:7447?rel=1", "tls/0.0.0.0:7447#close_link_on_expiration=false"]
+BY_ITSELF_WITHOUT = [
+    "tls/0.0.0.0:7447#enable_mtls=false",
+    "quic/[::]:7447?rel=1#close_link_on_expiration=true;enable_mtls=false",
+    "tls/0.0.0.0:7447#enable_mtls=true;enable_mtls=false",
+    "tls/0.0.0.0:7447#enable_mtls",
+]
 
 
 @pytest.mark.parametrize("endpoint", LOCAL)
@@ -37,11 +46,24 @@ def test_network_with_certificates_is_allowed_when_both_sides_show_theirs(endpoi
         check_exposure([endpoint], mutual_tls=False)
 
 
+@pytest.mark.parametrize("endpoint", BY_ITSELF_WITHOUT)
+def test_endpoint_that_asks_for_no_certificates_is_refused_whatever_the_file_says(endpoint: str) -> None:
+    with pytest.raises(InsecureBindError):
+        check_exposure([endpoint], mutual_tls=True)
+    local = endpoint.replace("0.0.0.0", "127.0.0.1").replace("[::]", "[::1]")  # noqa: S104
+    check_exposure([local], mutual_tls=False)
+
+
+def test_endpoint_that_asks_for_certificates_itself_is_allowed() -> None:
+    check_exposure(["tls/0.0.0.0:7447#enable_mtls=true"], mutual_tls=False)
+
+
 @pytest.mark.parametrize(
     ("listens", "connects"),
     [
         ("tcp/0.0.0.0:7447", "tcp/127.0.0.1:7447"),
         ("tls/[::]:7447", "tls/[::1]:7447"),
+        ("tls/0.0.0.0:7447?rel=1#iface=eth0", "tls/127.0.0.1:7447"),
         ("tls/router:7447", "tls/router:7447"),
         ("tcp/10.0.0.1:7447", "tcp/10.0.0.1:7447"),
     ],
@@ -67,6 +89,17 @@ def test_router_refuses_and_listens_when_told_to() -> None:
     assert "whoever connects moves the arm" in listens("--listen", f"tcp/0.0.0.0:{port}")
     assert "(other machines, too)" in listens("--listen", f"tcp/0.0.0.0:{port}", "--insecure-bind")
     assert "(this machine only)" in listens("--listen", f"tcp/127.0.0.1:{port}")
+
+
+def test_router_listens_where_its_file_says_and_not_where_zenoh_would(tmp_path: Path) -> None:
+    port = free_port()
+    file = tmp_path / "zenoh.json5"
+    file.write_text(f'{{listen: {{endpoints: {{router: ["tcp/127.0.0.1:{port}"]}}}}}}', encoding="utf-8")
+    assert f"router listens on tcp/127.0.0.1:{port} " in listens("--zenoh-config", str(file))
+    file.write_text("{}", encoding="utf-8")
+    assert "tcp/127.0.0.1:7447" in listens("--zenoh-config", str(file))  # and says so, whether or not it is free
+    file.write_text('{listen: {endpoints: {router: ["tcp/0.0.0.0:7447"]}}}', encoding="utf-8")
+    assert "whoever connects moves the arm" in listens("--zenoh-config", str(file))
 
 
 def test_refusal_is_a_mistake_of_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:

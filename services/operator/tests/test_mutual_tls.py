@@ -12,17 +12,15 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-import zenoh
 from cryptography.hazmat.primitives import serialization
 
 from armsight import topics
 from armsight.errors import ConfigError
 from armsight.session import SessionConfig, open_session, refusal, zenoh_settings
 from armsight_operator.certs import authority
-from armsight_operator.certs.authority import Signed
 from armsight_operator.certs.folder import Folder
 from armsight_operator.cli.app import main
-from secure_bus import HOST, SecureBus
+from secure_bus import HOST, SecureBus, an_hour_ago, certify, gets_in
 
 PLAIN_SERVICE = """
 import argparse, sys
@@ -46,17 +44,6 @@ def router(secure: SecureBus) -> SecureBus:
     return secure
 
 
-def gets_in(config: SessionConfig, tries: int = 1) -> bool:
-    """Whether a session opens."""
-    for _ in range(tries):
-        try:
-            zenoh.open(zenoh_settings(config)).close()  # type: ignore[no-untyped-call]
-        except zenoh.ZError:
-            continue
-        return True
-    return False
-
-
 def said_by_the_command_line(config: SessionConfig, capsys: pytest.CaptureFixture[str]) -> str:
     file = [] if config.file is None else ["--zenoh-config", str(config.file)]
     with pytest.raises(SystemExit) as ended:
@@ -65,27 +52,6 @@ def said_by_the_command_line(config: SessionConfig, capsys: pytest.CaptureFixtur
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     return error
-
-
-def certify(secure: SecureBus, name: str, signer: Path, expires: datetime) -> None:
-    """Puts a certificate with this expiry, by the authority in this folder, in the place of a bearer's."""
-    ca = Folder(signer)._authority()
-    key = serialization.load_pem_private_key((secure.folder.path / name / "key.pem").read_bytes(), None)
-    hosts = [HOST] if name == "router" else [name]
-    made = authority.sign(
-        Signed(ca.key, ca.certificate),
-        key.public_key(),  # type: ignore[arg-type]
-        name,
-        name,
-        hosts,
-        days=1,
-        now=expires - timedelta(days=1),
-    )
-    (secure.folder.path / name / "certificate.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
-
-
-def yesterday() -> datetime:
-    return datetime.now(UTC) - timedelta(hours=1)
 
 
 def test_own_certificate_gets_in(router: SecureBus) -> None:
@@ -115,7 +81,7 @@ def test_certificate_of_another_authority_does_not_get_in(router: SecureBus, tmp
     assert not gets_in(config)
     assert "the router's certificate is not signed by our CA" in refusal(config)
     # nor one that trusts the router's authority and is not of it
-    certify(router, "operator", stranger.folder.path, datetime.now(UTC) + timedelta(hours=1))
+    certify(router.folder, "operator", stranger.folder.path, datetime.now(UTC) + timedelta(hours=1))
     assert not gets_in(router.config("operator"))
     error = refusal(router.config("operator"))
     assert "is not signed by the router's CA" in error
@@ -124,7 +90,7 @@ def test_certificate_of_another_authority_does_not_get_in(router: SecureBus, tmp
 
 def test_expired_certificate_does_not_get_in(router: SecureBus, capsys: pytest.CaptureFixture[str]) -> None:
     assert gets_in(router.config("operator"), tries=10)
-    certify(router, "operator", router.folder.path, yesterday())
+    certify(router.folder, "operator", router.folder.path, an_hour_ago())
     assert not gets_in(router.config("operator"))
     error = said_by_the_command_line(router.config("operator"), capsys)
     assert "has expired: `armsight certs renew`" in error
@@ -133,20 +99,32 @@ def test_expired_certificate_does_not_get_in(router: SecureBus, capsys: pytest.C
 
 
 def test_expired_router_is_not_joined(secure: SecureBus) -> None:
-    certify(secure, "router", secure.folder.path, yesterday())
+    certify(secure.folder, "router", secure.folder.path, an_hour_ago())
     secure.start_router()
     assert not gets_in(secure.config("operator"))
     assert "the router's certificate has expired" in refusal(secure.config("operator"))
 
 
-def test_service_certificate_does_not_pass_for_the_routers(secure: SecureBus) -> None:
-    # somebody with sim's key listens where the router should
-    for file in ("key.pem", "certificate.pem"):
-        (secure.folder.path / "router" / file).write_bytes((secure.folder.path / "sim" / file).read_bytes())
+def test_router_of_another_host_is_not_joined(secure: SecureBus) -> None:
+    other = Folder(secure.folder.path)
+    (other.path / "router/certificate.pem").unlink()
+    other.make({"router": "router"}, ["elsewhere.local"], days=1, ca_days=1)
     secure.start_router()
     assert not gets_in(secure.config("operator"))
-    error = refusal(secure.config("operator"))
-    assert f"the router's certificate is not for {HOST}" in error
+    assert f"the router's certificate is not for {HOST}" in refusal(secure.config("operator"))
+
+
+@pytest.mark.parametrize("bearer", ["sim", HOST])
+def test_service_certificate_does_not_pass_for_the_routers(secure: SecureBus, bearer: str) -> None:
+    # somebody with sim's key listens where the router should, or with a key whose bearer is named as the router's host
+    ca = secure.folder._authority()
+    key = authority.make_key()
+    made = authority.sign(ca, key.public_key(), bearer, "sim", [bearer], days=1)
+    (secure.folder.path / "router/key.pem").write_bytes(authority.to_pem(key))
+    (secure.folder.path / "router/certificate.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    secure.start_router()
+    assert not gets_in(secure.config("operator"))
+    assert f"what listens at {HOST} has no router's certificate" in refusal(secure.config("operator"))
 
 
 def test_router_without_tls_is_told_from_one_that_is_not_there(
@@ -163,7 +141,7 @@ def test_router_without_tls_is_told_from_one_that_is_not_there(
 
 
 def test_waiting_service_logs_what_to_do(router: SecureBus) -> None:
-    certify(router, "sim", router.folder.path, yesterday())
+    certify(router.folder, "sim", router.folder.path, an_hour_ago())
     command = [sys.executable, "-c", PLAIN_SERVICE, "--connect", router.endpoint]
     process = subprocess.Popen(
         [*command, "--zenoh-config", router.file("sim")], stderr=subprocess.PIPE, text=True, env=os.environ
@@ -208,7 +186,7 @@ def test_nothing_secret_is_logged(
     secret = (router.folder.path / "sim/key.pem").read_text(encoding="ascii").splitlines()[1]
     caplog.set_level(logging.DEBUG)
     router.bus("sim")
-    certify(router, "sim", router.folder.path, yesterday())
+    certify(router.folder, "sim", router.folder.path, an_hour_ago())
     assert not gets_in(router.config("sim"))
     reason = refusal(router.config("sim"))
     assert "has expired" in reason
@@ -222,7 +200,7 @@ def test_expiry_ends_a_connection_and_renewal_keeps_it(secure: SecureBus) -> Non
     # setup: two connections whose certificates expire soon; one is renewed in time
     expires = datetime.now(UTC).replace(microsecond=0) + timedelta(seconds=4)
     for name in ("sim", "control"):
-        certify(secure, name, secure.folder.path, expires)
+        certify(secure.folder, name, secure.folder.path, expires)
     secure.start_router()
     tokens = [
         secure.bus(name).session.liveliness().declare_token(topics.HEALTH.key_for(name)) for name in ("sim", "control")
@@ -250,7 +228,7 @@ def test_expiry_ends_a_connection_and_renewal_keeps_it(secure: SecureBus) -> Non
 def test_restarted_router_shows_its_renewed_certificate_and_everybody_is_back(secure: SecureBus) -> None:
     # setup: the router's certificate is about to expire, a service publishes
     secure.start_router()
-    certify(secure, "router", secure.folder.path, datetime.now(UTC) + timedelta(hours=1))
+    certify(secure.folder, "router", secure.folder.path, datetime.now(UTC) + timedelta(hours=1))
     publisher = secure.bus("control").publisher(topics.CONTROL_STATUS)
     status = secure.bus("operator").subscriber(topics.CONTROL_STATUS)
 

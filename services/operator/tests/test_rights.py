@@ -1,6 +1,7 @@
 """What passes over a router with rights is what the contract's table says: nothing less, nothing more."""
 
 import dataclasses
+import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,11 +14,12 @@ from armsight import topics
 from armsight.bus import Bus
 from armsight.errors import NoReplyError, RefusedError
 from armsight.session import DEFAULT_NAMESPACE, zenoh_settings
-from armsight.topics import QUERIES, SERVICES, TOPICS, WHO, Query, Topic
+from armsight.topics import EACH, QUERIES, TOPICS, WHO, Query, Topic
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest, StopResponse, StopState
-from armsight_operator.certs.configuration import access_control
+from armsight_operator.certs.configuration import access_control, check_routers
 from armsight_operator.certs.rights import rights
-from secure_bus import BEARERS, SecureBus
+from armsight_operator.errors import CertificateError
+from secure_bus import BEARERS, EDGE, SecureBus, gets_in
 
 LATCHED = [topic for topic in TOPICS if topic.delivery == "latched"]
 
@@ -26,9 +28,13 @@ QUIET_S = 0.2
 TIMEOUT_S = 10.0
 
 
-@pytest.fixture(scope="module")
-def secure(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SecureBus]:
-    secure = SecureBus(tmp_path_factory.mktemp("certs"))
+BEHIND_EDGE = {"one router": (), "vision on an edge": ("sim", "vision")}
+"""Who connects to a second router that is linked to the first; what passes is the same."""
+
+
+@pytest.fixture(scope="module", params=list(BEHIND_EDGE.values()), ids=list(BEHIND_EDGE))
+def secure(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SecureBus]:
+    secure = SecureBus(tmp_path_factory.mktemp("certs"), behind_edge=request.param)
     secure.start_router()
     yield secure
     secure.close()
@@ -50,7 +56,7 @@ def places(secure: SecureBus) -> Iterator[Callable[[str], Bus]]:
 
 def names(who: tuple[str, ...]) -> set[str]:
     """The roles that a column of the table stands for."""
-    return {entry.partition("/")[0] for entry in who} - {"each"} | (set(SERVICES) if "each" in who else set())
+    return {entry.partition("/")[0] for entry in who} - {"each"} | (set(EACH) if "each" in who else set())
 
 
 def a_name(key: str, who: tuple[str, ...], role: str) -> str | None:
@@ -59,7 +65,7 @@ def a_name(key: str, who: tuple[str, ...], role: str) -> str | None:
         return None
     if given := [entry.partition("/")[2] for entry in who if entry.startswith(f"{role}/")]:
         return given[0]
-    return role if "each" in who and role in SERVICES else "vision" if key.startswith(("health", "{name}")) else "1"
+    return role if "each" in who and role in EACH else "vision" if key.startswith(("health", "{name}")) else "1"
 
 
 def own_name(role: str, who: tuple[str, ...]) -> str:
@@ -132,10 +138,12 @@ def test_only_readers_of_a_topic_hear_it(places: Callable[[str], Bus], topic: To
 
 @pytest.mark.parametrize("topic", LATCHED, ids=lambda topic: topic.name)
 def test_late_readers_of_a_latched_topic_get_its_last_value(places: Callable[[str], Bus], topic: Topic[Any]) -> None:
-    (publisher,) = topic.publishers
+    (who,) = topic.publishers
+    publisher = "vision" if who == "each" else who
     wild = "*" if "{name}" in topic.key else None
+    name = ("vision" if who == "each" else "1") if wild else None
     early = {role: places(role).subscriber(topic, wild) for role in sorted(names(topic.readers))}
-    places(publisher).publisher(topic, "1" if wild else None).put(topic.message())
+    places(publisher).publisher(topic, name).put(topic.message())
     others = sorted(set(WHO) - names(topic.readers) - {publisher})
     late = {role: places(role).subscriber(topic, wild) for role in WHO if role != publisher}
     for role, subscriber in early.items():
@@ -187,7 +195,7 @@ def test_only_callers_of_a_query_are_answered(places: Callable[[str], Bus], quer
         else:
             answered.add(role)
     # one of "each" may ask of itself alone
-    assert answered == names(query.callers) - (set(SERVICES) - {server} if "each" in query.callers else set())
+    assert answered == names(query.callers) - (set(EACH) - {server} if "each" in query.callers else set())
 
 
 @pytest.mark.parametrize("query", QUERIES, ids=lambda query: query.name)
@@ -294,6 +302,69 @@ def test_viewer_may_stop_and_not_release_and_operator_both(places: Callable[[str
     assert stopped["by"]
     places("operator").query(topics.RELEASE, release)
     assert not stopped["by"]
+
+
+# two routers
+
+
+def test_router_that_was_broken_into_speaks_for_those_behind_it_alone(tmp_path: Path) -> None:
+    # setup: vision behind an edge whose own rules are gone
+    secure = SecureBus(tmp_path, behind_edge=("sim", "vision"))
+    lax = re.sub('"enabled": true', '"enabled": false', secure.file(EDGE).read_text(encoding="utf-8"))
+    secure.file(EDGE).write_text(lax, encoding="utf-8")
+    secure.start_router()
+    try:
+        behind, before = secure.bus("vision").session, secure.bus("operator").session
+        keys = {topic.key for topic in (topics.JOINT_POSITIONS, topics.TARGET, topics.JOINT_COMMAND)}
+        heard, heard_behind = {key: Heard() for key in keys}, {key: Heard() for key in keys}
+        for key in keys:
+            before.declare_subscriber(key, heard[key])
+            secure.bus("sim").session.declare_subscriber(key, heard_behind[key])
+        time.sleep(QUIET_S)
+        # sim may put a target; neither sim nor vision a command
+        for key in keys:
+            behind.put(key, "intruder")
+        positions, command = topics.JOINT_POSITIONS.key, topics.JOINT_COMMAND.key
+        wait_until(lambda: bool(heard[positions].roles and heard_behind[command].roles), "what may pass does not")
+        time.sleep(QUIET_S)
+        # invariant: the first router lets no command in from there; behind the edge nobody is left to stop it
+        assert {key for key in keys if heard[key].roles} == {positions, topics.TARGET.key}
+        assert {key for key in keys if heard_behind[key].roles} == keys
+    finally:
+        secure.close()
+
+
+def test_router_without_its_own_certificate_is_not_linked(tmp_path: Path) -> None:
+    # setup: somebody with sim's key starts a router; the edge's is there for comparison
+    secure = SecureBus(tmp_path, behind_edge=("vision",))
+    for file in ("key.pem", "certificate.pem"):
+        (secure.folder.path / EDGE / file).write_bytes((secure.folder.path / "sim" / file).read_bytes())
+    commands = Heard()
+    secure.start_router()
+    try:
+        sim = secure.bus("sim").session
+        sim.declare_subscriber(topics.JOINT_COMMAND.key, commands)
+        config = dataclasses.replace(secure.config("control"), endpoints=(secure.edge,))
+        assert not gets_in(config), "a client trusts the name of its router, which sim is not"
+        secure.bus("control").session.put(topics.JOINT_COMMAND.key, "control")
+        wait_until(lambda: commands.roles == ["control"], "control is not heard")
+    finally:
+        secure.close()
+
+
+@pytest.mark.parametrize(
+    ("routers", "reason"),
+    [
+        ({"edge": ("king",)}, "can't speak for king"),
+        ({"router": ("sim",)}, "is the first router"),
+        ({}, "say for whom, such as --router edge=sim,vision"),
+    ],
+)
+def test_for_whom_a_router_speaks_is_said_and_possible(routers: dict[str, tuple[str, ...]], reason: str) -> None:
+    roles = BEARERS | {"edge": "router"}
+    check_routers(roles, {"edge": ("sim", "vision")})
+    with pytest.raises(CertificateError, match=reason):
+        check_routers(roles, routers)
 
 
 # without a router

@@ -53,6 +53,7 @@ class Cameras:
         if emissive:
             materials = np.unique(drawn.geom_matid[spheres])
             drawn.mat_emission[materials[materials >= 0]] = 1.0
+        self._drawn = drawn
         self._renderer = mujoco.Renderer(drawn, height, width)
         self._options = mujoco.MjvOption()
         flags = mujoco.mjtRndFlag
@@ -63,6 +64,10 @@ class Cameras:
     def show_group(self, group: int) -> None:
         """Draws the geoms of one more group (the visible target's)."""
         self._options.geomgroup[group] = 1
+
+    def light(self, ambient: float) -> None:
+        """Sets the brightness of the ambient light, 0 to 1."""
+        self._drawn.vis.headlight.ambient[:] = ambient
 
     def draw(self, data: mujoco.MjData) -> list[Image]:
         """One rgb8 image for each camera, the top row first."""

@@ -4,7 +4,7 @@ import queue
 import struct
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from math import pi, sin
 from typing import TypeVar
@@ -17,6 +17,7 @@ from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 from armsight import topics
 from armsight.bus import Received
 from armsight.images import encode_rgb8
+from armsight.parameters import Value
 from armsight.schema import descriptor_set
 from armsight.service import Context
 from armsight.times import from_timestamp, to_duration, to_timestamp, wall_ns
@@ -33,7 +34,8 @@ from armsight_sim.errors import SimError
 from armsight_sim.motion import Motion
 from armsight_sim.settings import Settings
 from armsight_sim.stop import StopRequestError, StopSources
-from armsight_sim.targets import TARGETS, visible_box
+from armsight_sim.targets import NONE, TARGETS, VISIBLE, visible_box, visible_sphere
+from armsight_sim.tuning import tunables, tuned
 from armsight_sim.world import World, load_model, longer_links
 
 T = TypeVar("T")
@@ -73,19 +75,18 @@ class Simulation:
             calibration = description.calibration(model, name, settings.width, settings.height, settings.start_ns)
             bus.publisher(topics.CAMERA_CALIBRATION, name).put(calibration)
             bus.publisher(topics.CAMERA_POSE, name).put(description.camera_pose(model, name, settings.start_ns))
-        bus.publisher(topics.DESCRIPTION).put(
-            description.describe_arm(described, with_bodies=settings.target == "visible")
-        )
+        self._bodies = settings.target == VISIBLE
+        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(described, with_bodies=self._bodies))
         block = settings.clock is ClockMode.LOCKSTEP
         self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
         self._frame_ids = [description.optical_frame(name) for name in self._names]
         self._true = bus.publisher(topics.JOINTS_TRUE)
         self._accepted = bus.publisher(topics.JOINTS_ACCEPTED)
         self._clock = bus.publisher(topics.CLOCK)
-        self._target = bus.publisher(topics.TARGET) if settings.target != "none" else None
+        self._target = bus.publisher(topics.TARGET)
+        self._shows_target = settings.target != NONE
         self._own_targets: deque[int] = deque(maxlen=_OWN_TARGETS)
-        if self._target is not None:
-            bus.subscriber(topics.TARGET, on_message=self._target_from_elsewhere)
+        bus.subscriber(topics.TARGET, on_message=self._target_from_elsewhere)
         self._stop_state = bus.publisher(topics.STOP_STATE)
         self._stop_state.put(self._stops.message())
         bus.subscriber(
@@ -97,45 +98,52 @@ class Simulation:
         bus.serve(topics.STOP, lambda request: self._ask(lambda: self._stop(request, topics.STOP)))
         bus.serve(topics.RELEASE, lambda request: self._ask(lambda: self._stop(request, topics.RELEASE)))
         bus.serve(topics.SCHEMA, lambda _: descriptor_set())
+        context.tunables.declare(tunables(settings), lambda values: self._ask(lambda: self._tune(values)))
         bus.presence(self._presence)
 
     def run(self) -> None:
         """Frame after frame until asked to stop."""
-        settings = self._settings
-        cameras = Cameras(
-            self._model,
-            self._names,
-            settings.width,
-            settings.height,
-            settings.samples,
-            emissive=settings.emissive,
-        )
-        noise = None
-        if settings.noise > 0.0:
-            noise = Noise(settings.noise, settings.width * settings.height * 3, settings.seed)
-        if settings.target == "visible":
-            cameras.show_group(_VISIBLE_GROUP)
+        self._cameras, self._noise = self._new_cameras(self._settings), _new_noise(self._settings)
         try:
-            pacer = Pacer(settings.fps, time.monotonic())
+            pacer = Pacer(self._settings.fps, time.monotonic())
             while not self._context.stop.is_set():
-                self._frame(cameras, noise)
-                if settings.clock is ClockMode.REALTIME:
+                self._frame()
+                if self._settings.clock is ClockMode.REALTIME:
                     pacer.taken(time.monotonic())
                     self._handle_until(pacer.due_s)
                 else:
                     self._handle_until_answered()
                 self._motion.next_frame()
         finally:
-            cameras.close()
+            self._cameras.close()
 
-    def _frame(self, cameras: Cameras, noise: Noise | None) -> None:
+    def _new_cameras(self, settings: Settings) -> Cameras:
+        width, height, emissive = settings.width, settings.height, settings.emissive
+        cameras = Cameras(self._model, self._names, width, height, settings.samples, emissive=emissive)
+        if self._bodies:
+            cameras.show_group(_VISIBLE_GROUP)
+        return cameras
+
+    def _tune(self, values: Mapping[str, Value]) -> None:
+        before, after = self._settings, tuned(self._settings, values)
+        if after.samples != before.samples:
+            cameras = self._new_cameras(after)
+            self._cameras.close()
+            self._cameras = cameras
+        if after.noise != before.noise:
+            self._noise = _new_noise(after)
+        if after.target != before.target:
+            self._shows_target = after.target != NONE
+        self._settings = after
+
+    def _frame(self) -> None:
         started = time.monotonic()
         capture_ns, elapsed_s = self._motion.capture_ns, self._instants.elapsed_s(self._motion.frame)
         self._set_scene(elapsed_s)
         self._publish_state(capture_ns)
-        images = cameras.draw(self._motion.world.data)
-        if noise is not None:
-            images = [noise.add(image) for image in images]
+        images = self._cameras.draw(self._motion.world.data)
+        if self._noise is not None:
+            images = [self._noise.add(image) for image in images]
         width, height = self._settings.width, self._settings.height
         self._encoded = [
             encode_rgb8(image.tobytes(), width, height, frame_id, capture_ns)
@@ -169,18 +177,17 @@ class Simulation:
                 speed=self._rate_hz() / self._settings.fps,
             )
         )
-        target = self._target
-        if target is not None:
+        if self._shows_target:
             frame_id, point = TARGETS[self._settings.target]
             message = Point3InFrame(timestamp=stamp, frame_id=frame_id)
             message.point.x, message.point.y, message.point.z = point(self._instants.elapsed_s(self._motion.frame))
             self._own_targets.append(capture_ns)
-            target.put(message)
+            self._target.put(message)
 
     def _target_from_elsewhere(self, received: Received[Point3InFrame]) -> None:
         """Somebody else has a target for the arm: the demonstration ends, or the two would pull it to and fro."""
         if from_timestamp(received.message.timestamp) not in self._own_targets:
-            self._target = None
+            self._shows_target = False
 
     def _publish_accepted(self, capture_ns: int) -> None:
         accepted = self._motion.accepted
@@ -195,10 +202,10 @@ class Simulation:
 
     def _set_scene(self, elapsed_s: float) -> None:
         ambient = self._settings.ambient
-        self._model.vis.headlight.ambient[:] = 0.4 + 0.3 * sin(pi * elapsed_s / 30) if ambient is None else ambient
-        if self._settings.target == "visible":
+        self._cameras.light(0.4 + 0.3 * sin(pi * elapsed_s / 30) if ambient is None else ambient)
+        if self._bodies:
             data = self._motion.world.data
-            data.mocap_pos[:] = [TARGETS["visible"][1](elapsed_s), visible_box(elapsed_s)]
+            data.mocap_pos[:] = [visible_sphere(elapsed_s), visible_box(elapsed_s)]
             self._motion.world.update_positions()
 
     def _handle_until(self, due_s: float) -> None:
@@ -297,3 +304,8 @@ class Simulation:
             health.report(HEALTH_STATUS_DEGRADED, slow)
         else:
             health.report(HEALTH_STATUS_OK, detail)
+
+
+def _new_noise(settings: Settings) -> Noise | None:
+    size = settings.width * settings.height * 3
+    return Noise(settings.noise, size, settings.seed) if settings.noise > 0.0 else None

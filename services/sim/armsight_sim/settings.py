@@ -9,10 +9,14 @@ from armsight.errors import ConfigError
 from armsight.service import add_service_arguments
 from armsight.times import NS_PER_S, wall_ns
 from armsight_sim.clock import ClockMode
-from armsight_sim.targets import TARGETS
+from armsight_sim.targets import NONE, TARGETS
 
 AMBIENT_SWEEP = "sweep"
 LIT, EMISSIVE = "lit", "emissive"
+SAMPLES = (0, 4)
+"""For each pixel: software GL gives no others."""
+MOST_NOISE = 50.0
+"""Grey levels."""
 # 2200: simulated time, counted on from here, stays in 64 bits for every reader
 LATEST_START_NS = 7_258_118_400 * NS_PER_S
 
@@ -46,8 +50,10 @@ class Settings:
             raise ConfigError(f"--width {self.width} --height {self.height}: both must be within 16 to 1920")
         if self.ambient is not None and not 0.0 <= self.ambient <= 1.0:
             raise ConfigError(f"--ambient {self.ambient:g} is not within 0 to 1")
-        if not 0.0 <= self.noise <= 50.0:
-            raise ConfigError(f"--noise {self.noise:g} is not within 0 to 50 grey levels")
+        if self.samples not in SAMPLES:
+            raise ConfigError(f"samples {self.samples}: a pixel has {' or '.join(map(str, SAMPLES))}")
+        if not 0.0 <= self.noise <= MOST_NOISE:
+            raise ConfigError(f"--noise {self.noise:g} is not within 0 to {MOST_NOISE:g} grey levels")
         if self.seed < 0:
             raise ConfigError(f"--seed {self.seed} is below 0")
         if not -0.05 <= self.model_error <= 0.05:
@@ -92,12 +98,12 @@ def argument_parser() -> argparse.ArgumentParser:
     parser.add_argument("--width", type=int, default=800, help="pixels (default: 800)")
     parser.add_argument("--height", type=int, default=800, help="pixels (default: 800)")
     parser.add_argument(
-        "--samples", type=int, choices=[0, 4], default=0, help="for each pixel; 4 is smoother and slower (default: 0)"
+        "--samples", type=int, choices=SAMPLES, default=0, help="for each pixel; 4 is smoother and slower (default: 0)"
     )
     parser.add_argument(
         "--target",
-        choices=["none", *TARGETS],
-        default="none",
+        choices=[NONE, *TARGETS],
+        default=NONE,
         help="moving target to publish until somebody else publishes one (default: none)",
     )
     parser.add_argument("--start-time", metavar="TIME", help="RFC 3339 or Unix nanoseconds, for runs that repeat")

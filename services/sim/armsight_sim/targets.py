@@ -29,9 +29,11 @@ def visible_box(t: float) -> Point:
     return (2 + 2 * cos(w), 2.5 + 1.5 * sin(w), 7.5)
 
 
+NONE, VISIBLE = "none", "visible"
+
 TARGETS: dict[str, tuple[str, Callable[[float], Point]]] = {
     "default": ("base", default_target),
     "exercise": ("base", exercise_target),
-    "visible": ("world", visible_sphere),
+    VISIBLE: ("world", visible_sphere),
 }
 """By name: the frame and the point."""

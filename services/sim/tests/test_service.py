@@ -10,7 +10,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import pytest
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from armsight import topics
 from armsight.bus import Bus, open_bus
@@ -18,6 +21,7 @@ from armsight.errors import RefusedError
 from armsight.session import SessionConfig, open_session
 from armsight.times import from_timestamp, to_duration
 from armsight.v1.joints_pb2 import JointCommand, JointSetpoint
+from armsight.v1.parameters_pb2 import ParameterValue, SetParametersRequest
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest
 from armsight.v1.sim_pb2 import ResetRequest
 
@@ -144,6 +148,42 @@ def test_stopped_arm_refuses_motion_until_released(bus: Bus, sim: Callable[..., 
     assert abs(push(0.3)) < 1e-9
     bus.query(topics.RELEASE, StopRequest(action=STOP_ACTION_RELEASE, source="test"))
     assert push(1.0) > 0.2
+
+
+def test_light_noise_samples_and_target_may_be_set_while_it_runs(bus: Bus, sim: Callable[..., object]) -> None:
+    images = bus.subscriber(topics.CAMERA_IMAGE, "1")
+    targets = bus.subscriber(topics.TARGET)
+    sim("--fps", "60")
+    before = pixels(taken(images))
+
+    def tuned(**values: ParameterValue) -> npt.NDArray[np.int16]:
+        bus.query(topics.SET_PARAMETERS, SetParametersRequest(values=values), "sim")
+        images.clear()
+        taken(images)  # may have been under way
+        return pixels(taken(images))
+
+    assert (tuned(ambient=ParameterValue(number=0.9)) - before).mean() > 5, "brighter"
+    back = tuned(ambient=ParameterValue(number=0.4))
+    assert (back == before).all()
+    noisy = tuned(noise=ParameterValue(number=10.0)) - before
+    assert 5 < noisy.std() < 12
+    smooth = tuned(noise=ParameterValue(number=0.0), samples=ParameterValue(whole=4)) - before
+    assert 0 < (smooth != 0).mean() < 0.2, "only outlines differ"
+    assert targets.recv(0.2) is None
+    tuned(target=ParameterValue(text="exercise"))
+    assert taken(targets).frame_id == "base"
+
+    for text, value in (
+        ("samples 2: a pixel has 0 or 4", {"samples": ParameterValue(whole=2)}),
+        ("noise is a number within 0 to 50 grey levels, not 51", {"noise": ParameterValue(number=51)}),
+        ("target is one of none, default, exercise", {"target": ParameterValue(text="visible")}),
+    ):
+        with pytest.raises(RefusedError, match=text):
+            bus.query(topics.SET_PARAMETERS, SetParametersRequest(values=value), "sim")
+
+
+def pixels(image: RawImage) -> npt.NDArray[np.int16]:
+    return np.frombuffer(image.data, np.uint8).astype(np.int16)
 
 
 def test_sigterm_ends_it_within_two_seconds(bus: Bus, sim: Callable[..., "subprocess.Popen[bytes]"]) -> None:

@@ -13,14 +13,6 @@
 namespace armsight::vision {
 namespace {
 
-// Chroma (distance from the grey axis) below which noise decides: 3.5 times a sensor noise of 4 grey levels.
-constexpr double kChromaFloor = 14.0;
-// Share of the marker's own saturation that a pixel must have. Mixed pixels at an outline keep it while the marker
-// covers most of them; the sub-pixel edge is found by unmixing later.
-constexpr double kSaturationShare = 0.3;
-// Half width of a hue: 2.4 standard deviations of the hue of a marker as dark as 40 grey levels at noise 4, and
-// narrower than half of the 60 degrees between red and yellow, so that orange is neither.
-constexpr double kHueHalfWidth = 20.0 * std::numbers::pi / 180.0;
 constexpr double kMinHueDistance = 12.0 * std::numbers::pi / 180.0;
 constexpr double kMinSaturation = 0.15;  // of a marker's colour: chroma divided by the sum of its channels
 
@@ -127,7 +119,7 @@ void find_components(MarkerMask& mask) {
 
 }  // namespace
 
-std::vector<ColorCone> color_cones(std::span<const MarkerModel> markers) {
+std::vector<ColorCone> color_cones(std::span<const MarkerModel> markers, const ColorThresholds& thresholds) {
     std::vector<Hue> hues;
     hues.reserve(markers.size());
     for (const MarkerModel& marker : markers) hues.push_back(hue_of(marker));
@@ -136,7 +128,7 @@ std::vector<ColorCone> color_cones(std::span<const MarkerModel> markers) {
     std::vector<ColorCone> cones;
     cones.reserve(markers.size());
     for (std::size_t i = 0; i < hues.size(); ++i) {
-        double half_width = kHueHalfWidth;
+        double half_width = thresholds.hue_half_width_deg * std::numbers::pi / 180.0;
         for (std::size_t j = 0; j < hues.size(); ++j) {
             if (i == j) continue;
             const double distance = angle_between(hues[i].angle, hues[j].angle);
@@ -151,11 +143,12 @@ std::vector<ColorCone> color_cones(std::span<const MarkerModel> markers) {
         const double s = std::sin(half_width);
         const double c = std::cos(half_width);
         const Scaled hue = scaled(h);
-        const int floor = static_cast<int>(std::lround(kChromaFloor * hue.scale));
+        const int floor = static_cast<int>(std::lround(thresholds.chroma_floor * hue.scale));
         cones.push_back(
             {.hue = hue.plane,
              .floor = floor,
-             .saturation = scaled(h - Eigen::Vector3d::Constant(kSaturationShare * hues[i].saturation)).plane,
+             .saturation =
+                 scaled(h - Eigen::Vector3d::Constant(thresholds.saturation_share * hues[i].saturation)).plane,
              .left = scaled(s * h + c * across).plane,
              .right = scaled(s * h - c * across).plane,
              .neutral = neutral_difference(hue.plane, floor)});

@@ -544,7 +544,8 @@ PoolVector<SameColoredSphere> Pipeline::State::seen_spheres(std::size_t color) c
     return result;
 }
 
-Pipeline::Pipeline(std::vector<MarkerModel> markers, Classifier classifier) : state_(std::make_unique<State>()) {
+Pipeline::Pipeline(std::vector<MarkerModel> markers, Classifier classifier, const ColorThresholds& thresholds)
+    : state_(std::make_unique<State>()) {
     state_->classifier = std::move(classifier);
     std::vector<MarkerModel> palette;  // one marker of each colour
     for (const MarkerModel& marker : markers) {
@@ -555,7 +556,7 @@ Pipeline::Pipeline(std::vector<MarkerModel> markers, Classifier classifier) : st
         state_->color_of.push_back(static_cast<std::size_t>(same - palette.begin()));
         if (same == palette.end()) palette.push_back(marker);
     }
-    state_->cones = color_cones(palette);
+    state_->cones = color_cones(palette, thresholds);
     for (std::size_t i = 0; i < markers.size(); ++i) {
         const std::size_t color = state_->color_of[i];
         state_->is_shared.push_back(std::ranges::count(state_->color_of, color) > 1);

@@ -238,5 +238,18 @@ TEST(Classify, SpeckleDoesNotTakeAllMemory) {
     EXPECT_EQ(area, static_cast<std::int64_t>(kMaxRuns));
 }
 
+TEST(ColorThresholds, DecideWhichPixelsAreOfAMarker) {
+    const auto markers = testing::arm_markers();
+    const auto green = std::ranges::find(markers, "green", &MarkerModel::name) - markers.begin();
+    const auto cone = [&](const ColorThresholds& thresholds) {
+        return color_cones(markers, thresholds).at(static_cast<std::size_t>(green));
+    };
+    EXPECT_TRUE(cone({}).contains(20, 60, 20));
+    EXPECT_FALSE(cone({.chroma_floor = 60.0}).contains(20, 60, 20)) << "too near to grey";
+    EXPECT_FALSE(cone({.saturation_share = 0.8}).contains(20, 60, 20)) << "too pale";
+    EXPECT_TRUE(cone({}).contains(60, 200, 20));
+    EXPECT_FALSE(cone({.hue_half_width_deg = 5.0}).contains(60, 200, 20)) << "another green";
+}
+
 }  // namespace
 }  // namespace armsight::vision

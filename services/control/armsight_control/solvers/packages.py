@@ -6,12 +6,14 @@ what they have.
 
 import hashlib
 import json
+import os
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from tempfile import gettempdir
+from tempfile import TemporaryDirectory, gettempdir
 from typing import Literal
 
 import torch
@@ -172,9 +174,25 @@ def inductor_options(baseline: Baseline, wrapper: Path) -> dict[str, object]:
 
 
 def _load(path: Path) -> Call:
-    # inductor's own function for this would first import inductor, which takes seconds
-    try:
-        loaded = _aoti.AOTIModelPackageLoader(str(path), "model", True)  # run_single_threaded: no pool, no locks
-    except TypeError:  # torch 2.6 takes two arguments
-        loaded = _aoti.AOTIModelPackageLoader(str(path), "model")
+    with _unpacked_elsewhere():
+        # inductor's own function for this would first import inductor, which takes seconds
+        try:
+            loaded = _aoti.AOTIModelPackageLoader(str(path), "model", True)  # run_single_threaded: no pool, no locks
+        except TypeError:  # torch 2.6 takes two arguments
+            loaded = _aoti.AOTIModelPackageLoader(str(path), "model")
     return lambda tensors: loaded.run(list(tensors))
+
+
+@contextmanager
+def _unpacked_elsewhere() -> Iterator[None]:
+    """A folder for what torch unpacks, removed once it is loaded: torch itself leaves it behind when it is killed."""
+    before = os.environ.get("TMPDIR")
+    with TemporaryDirectory(prefix="armsight-solvers-") as folder:
+        os.environ["TMPDIR"] = folder
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ["TMPDIR"]
+            else:
+                os.environ["TMPDIR"] = before

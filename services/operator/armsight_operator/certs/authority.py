@@ -64,8 +64,10 @@ def sign(
     hosts: Sequence[str],
     days: int,
     now: datetime | None = None,
+    *,
+    serves: bool = False,
 ) -> x509.Certificate:
-    """A certificate for both ends of a connection.
+    """A certificate to connect with, and for a router also to be connected to.
 
     Args:
         authority: who signs.
@@ -75,6 +77,7 @@ def sign(
         hosts: names and addresses under which the bearer is reached.
         days: how long it holds; no longer than the authority does.
         now: when it begins to hold (default: now).
+        serves: whether others may take the bearer for a router.
 
     Raises:
         CertificateError: the authority has expired, or a host is neither a name nor an address.
@@ -86,13 +89,12 @@ def sign(
             "make a new one in another folder, and hand out its certificates"
         )
     issuer = authority.certificate
+    usage = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if serves else [])]
     return (
         _builder(_name(name, role), issuer.subject, public_key, days, now, latest=issuer.not_valid_after_utc)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(digital_signature=True), critical=True)
-        .add_extension(
-            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]), critical=False
-        )
+        .add_extension(x509.ExtendedKeyUsage(usage), critical=False)
         .add_extension(x509.SubjectAlternativeName([_alternative(host) for host in hosts]), critical=False)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(public_key), critical=False)
         .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()), critical=False)

@@ -4,14 +4,19 @@
 
     ca/      key.pem  certificate.pem                       stays where certificates are made
     router/  key.pem  certificate.pem  ca.pem  zenoh.json5
-    sim/     the same; so vision/, control/, operator/ and whoever else is named
+    sim/     the same; so vision/, control/, recorder/, operator/ and whoever else is named
 
 Private keys are readable by their owner alone, and a key that is there is never replaced unless that is asked for.
+Nothing is signed for what somebody else could have put there: folders that others can write to, links, keys that
+others can read, and certificates that are not of this authority are refused.
 """
 
+import fcntl
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+import stat
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -57,13 +62,19 @@ class Folder:
         self.path = path
 
     def make(
-        self, bearers: Mapping[str, str], hosts: Sequence[str], days: int, ca_days: int
+        self,
+        bearers: Mapping[str, str],
+        hosts: Sequence[str],
+        days: int,
+        ca_days: int,
+        more_hosts: Sequence[str] = (),
     ) -> dict[str, Literal["made", "kept"]]:
         """Makes what is missing, the authority as well.
 
         Args:
             bearers: role by name.
-            hosts: names and addresses of the router.
+            hosts: names and addresses of every router.
+            more_hosts: further ones of the first router.
             days: how long certificates hold.
             ca_days: how long the authority holds.
 
@@ -75,23 +86,23 @@ class Folder:
         """
         for name, role in bearers.items():
             _check(name, role)
-        done: dict[str, Literal["made", "kept"]] = {}
-        if not self._has_authority():
-            self._write_authority(authority.make_authority(ca_days))
-            done[_CA] = "made"
-        signer = self._authority()
-        for name, role in bearers.items():
-            if (self.path / name / CERTIFICATE).exists():
-                found = authority.role_of(_read_certificate(self.path / name / CERTIFICATE))
-                if found != role:
-                    raise CertificateError(
-                        f"{name} has a certificate as {found}, not as {role}: remove {self.path / name} to make it anew"
-                    )
-                done[name] = "kept"
-                continue
-            self._issue(signer, name, role, _hosts(name, role, hosts), days)
-            done[name] = "made"
-        return done
+            if role != ROUTER and name in (*hosts, *more_hosts):
+                raise CertificateError(f"{name} is a name of the router's: a {role} of that name would pass for it")
+        with self._alone():
+            done: dict[str, Literal["made", "kept"]] = {}
+            if not self._has_authority():
+                self._write_authority(authority.make_authority(ca_days))
+                done[_CA] = "made"
+            signer = self._authority()
+            for name, role in bearers.items():
+                if (self.path / name / CERTIFICATE).exists():
+                    _check_kept(name, role, authority.role_of(self._own_certificate(name, signer.certificate)))
+                    done[name] = "kept"
+                    continue
+                own = (*hosts, *more_hosts) if name == ROUTER else hosts if role == ROUTER else (name,)
+                self._issue(signer, name, role, tuple(dict.fromkeys(own)), days)
+                done[name] = "made"
+            return done
 
     def renew(
         self, names: Iterable[str], days: int, hosts: Sequence[str] = (), *, new_keys: bool = False
@@ -101,7 +112,7 @@ class Folder:
         Args:
             names: whose; none: everybody's.
             days: how long they hold.
-            hosts: further names and addresses of the router.
+            hosts: further names and addresses of the routers that are named, or of the first.
             new_keys: replace the private keys, too.
 
         Returns:
@@ -110,21 +121,22 @@ class Folder:
         Raises:
             CertificateError: a name without a certificate, an expired authority, or files that can't be used.
         """
-        signer = self._authority()
-        known = self.names()
-        names = tuple(names) or known
-        if unknown := sorted(set(names) - set(known)):
-            raise CertificateError(f"{self.path} has no certificate of {', '.join(unknown)}: it has {', '.join(known)}")
-        expires = {}
-        for name in names:
-            old = _read_certificate(self.path / name / CERTIFICATE)
-            role = authority.role_of(old)
-            more = hosts if role == ROUTER else ()
-            new = self._issue(
-                signer, name, role, tuple(dict.fromkeys((*authority.hosts_of(old), *more))), days, new_key=new_keys
-            )
-            expires[name] = new.not_valid_after_utc
-        return expires
+        wanted = tuple(names)
+        with self._alone():
+            signer = self._authority()
+            known = self.names()
+            if unknown := sorted(set(wanted) - set(known)):
+                raise CertificateError(
+                    f"{self.path} has no certificate of {', '.join(unknown)}: it has {', '.join(known)}"
+                )
+            expires = {}
+            for name in wanted or known:
+                old = self._own_certificate(name, signer.certificate)
+                role = authority.role_of(old)
+                more = hosts if role == ROUTER and (name == ROUTER or name in wanted) else ()
+                own = tuple(dict.fromkeys((*authority.hosts_of(old), *more)))
+                expires[name] = self._issue(signer, name, role, own, days, new_key=new_keys).not_valid_after_utc
+            return expires
 
     def names(self) -> tuple[str, ...]:
         """Who has a certificate, the router first."""
@@ -132,8 +144,15 @@ class Folder:
         return tuple(sorted(found, key=lambda name: name != ROUTER))
 
     def roles(self) -> dict[str, str]:
-        """What each bearer may do, by name."""
-        return {name: authority.role_of(_read_certificate(self.path / name / CERTIFICATE)) for name in self.names()}
+        """What each bearer may do, by name; nobody where there is no authority yet.
+
+        Raises:
+            CertificateError: a certificate that is not of this authority, or in another's folder.
+        """
+        if not self._has_authority():
+            return {}
+        signer = _read_certificate(self.path / _CA / CERTIFICATE)
+        return {name: authority.role_of(self._own_certificate(name, signer)) for name in self.names()}
 
     def entries(self, now: datetime | None = None) -> list[Entry]:
         """Every certificate, with what is wrong with it.
@@ -149,7 +168,9 @@ class Folder:
         if not self._has_authority():
             raise CertificateError(f"{self.path} has no certificates: `armsight certs make` makes them")
         signer = _read_certificate(self.path / _CA / CERTIFICATE)
-        own = Entry(_CA, "", (), signer.not_valid_after_utc, _trouble_with_time(signer, now))
+        key = self.path / _CA / KEY  # may well be kept elsewhere
+        trouble = (_trouble_with_key(key) if key.exists() else "") or _trouble_with_time(signer, now)
+        own = Entry(_CA, "", (), signer.not_valid_after_utc, trouble)
         return [own, *(_entry(self.path / name, signer, now) for name in self.names())]
 
     def write_configuration(self, name: str, text: str) -> None:
@@ -162,13 +183,31 @@ class Folder:
         folder = _private_folder(self.path / name)
         file = folder / KEY
         is_kept = file.exists() and not new_key
-        key = _read_key(file) if is_kept else authority.make_key()
-        certificate = authority.sign(signer, key.public_key(), name, role, hosts, days)
+        key = _read_own_key(file) if is_kept else authority.make_key()
+        certificate = authority.sign(signer, key.public_key(), name, role, hosts, days, serves=role == ROUTER)
         if not is_kept:
             _write(file, authority.to_pem(key), 0o600)
         _write(folder / CA_COPY, _pem(signer.certificate), 0o644)
         _write(folder / CERTIFICATE, _pem(certificate), 0o644)
         return certificate
+
+    def _own_certificate(self, name: str, signer: x509.Certificate) -> x509.Certificate:
+        """What may be signed again: what it says was said by this authority, of whom the folder is named after."""
+        file = self.path / name / CERTIFICATE
+        certificate = _read_certificate(file)
+        if not _is_signed_by(signer, certificate) or authority.name_of(certificate) != name:
+            raise CertificateError(f"{file} is not what this CA signed for {name}: remove the folder to make it anew")
+        return certificate
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """While nobody else makes or renews certificates here."""
+        folder = os.open(_private_folder(self.path), os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(folder)
 
     def _has_authority(self) -> bool:
         return (self.path / _CA / CERTIFICATE).exists()
@@ -177,7 +216,7 @@ class Folder:
         folder = self.path / _CA
         if not self._has_authority():
             raise CertificateError(f"{self.path} has no CA: `armsight certs make` makes one")
-        return Signed(_read_key(folder / KEY), _read_certificate(folder / CERTIFICATE))
+        return Signed(_read_own_key(folder / KEY), _read_certificate(folder / CERTIFICATE))
 
     def _write_authority(self, signed: Signed) -> None:
         folder = _private_folder(self.path / _CA)
@@ -196,8 +235,12 @@ def _check(name: str, role: str) -> None:
         raise CertificateError(f"{name} is a name of the system: it can't act as {role}")
 
 
-def _hosts(name: str, role: str, hosts: Sequence[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(hosts)) if role == ROUTER else (name,)
+def _check_kept(name: str, role: str, found: str) -> None:
+    if found != role:
+        raise CertificateError(
+            f"{name} has a certificate as {found}, not as {role}: take another name, for rights go by names, and who "
+            f"has the old certificate would have those of {role} until it expires"
+        )
 
 
 def _entry(folder: Path, signer: x509.Certificate, now: datetime) -> Entry:
@@ -212,18 +255,28 @@ def _entry(folder: Path, signer: x509.Certificate, now: datetime) -> Entry:
 
 
 def _trouble(folder: Path, certificate: x509.Certificate, signer: x509.Certificate) -> str:
-    try:
-        certificate.verify_directly_issued_by(signer)
-    except (InvalidSignature, TypeError, ValueError):
+    if not _is_signed_by(signer, certificate):
         return "not signed by this CA"
+    if _read_certificate(folder / CA_COPY) != signer:
+        return f"{CA_COPY} is of another CA: renew it"
     key = folder / KEY
     if not os.access(key, os.R_OK):
         return f"{KEY} is missing or can't be read by this user"
     if _read_key(key).public_key() != certificate.public_key():
         return f"{KEY} is another certificate's: renew it"
-    if key.stat().st_mode & 0o077:
-        return f"{KEY} can be read by others: chmod 600"
-    return ""
+    return _trouble_with_key(key)
+
+
+def _trouble_with_key(key: Path) -> str:
+    return f"{KEY} can be read by others: chmod 600" if key.stat().st_mode & 0o077 else ""
+
+
+def _is_signed_by(signer: x509.Certificate, certificate: x509.Certificate) -> bool:
+    try:
+        certificate.verify_directly_issued_by(signer)
+    except (InvalidSignature, TypeError, ValueError):
+        return False
+    return True
 
 
 def _trouble_with_time(certificate: x509.Certificate, now: datetime) -> str:
@@ -236,10 +289,18 @@ def _trouble_with_time(certificate: x509.Certificate, now: datetime) -> str:
 
 
 def _private_folder(path: Path) -> Path:
+    """A folder in which nobody else can put anything, made where there is none."""
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = path.lstat()
     except OSError as error:
         raise CertificateError(f"can't make {path}: {error.strerror}") from error
+    if stat.S_ISLNK(found.st_mode):
+        raise CertificateError(f"{path} is a link: name the folder itself")
+    if found.st_uid not in (os.geteuid(), 0):
+        raise CertificateError(f"{path} belongs to another user, who could put keys of his own there")
+    if found.st_mode & 0o022:
+        raise CertificateError(f"others can write to {path}, and put keys of their own there: chmod 700 {path}")
     return path
 
 
@@ -273,6 +334,16 @@ def _read_certificate(path: Path) -> x509.Certificate:
         return x509.load_pem_x509_certificate(_read(path))
     except ValueError as error:
         raise CertificateError(f"{path} is not a certificate in PEM form") from error
+
+
+def _read_own_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    """One to sign with or for: nobody else has it."""
+    if path.is_symlink():
+        raise CertificateError(f"{path} is a link: put the key itself there")
+    key = _read_key(path)
+    if trouble := _trouble_with_key(path):
+        raise CertificateError(f"{path.parent}: {trouble}, or remove it to make a new one")
+    return key
 
 
 def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:

@@ -7,7 +7,7 @@ session is ``ingress``, what goes out to it ``egress``. What the table doesn't n
 from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
-from armsight.topics import QUERIES, SERVICES, TOPICS, Query, Topic
+from armsight.topics import EACH, QUERIES, TOPICS, Query, Topic
 
 Flow = Literal["ingress", "egress"]
 Right = tuple[Flow, str]
@@ -24,6 +24,8 @@ def rights(
     namespaces: Iterable[str],
     topics: Iterable[Topic[Any]] = TOPICS,
     queries: Iterable[Query[Any, Any]] = QUERIES,
+    *,
+    behind_router: bool = False,
 ) -> dict[Right, tuple[str, ...]]:
     """The keys on which each message may pass between the router and sessions of one role.
 
@@ -32,9 +34,14 @@ def rights(
         namespaces: robots that the rights are for.
         topics: rows of the table.
         queries: rows of the table.
+        behind_router: the session is another router's, and whoever has the role is connected to that one.
     """
+    topics, queries = tuple(topics), tuple(queries)
     relative = [right for topic in topics for right in _of_topic(role, topic)]
     relative += [right for query in queries for right in _of_query(role, query)]
+    if behind_router:
+        relative += [right for topic in topics for right in _of_topic_behind_router(role, topic)]
+        relative += [right for query in queries for right in _of_query_behind_router(role, query)]
     keys: dict[Right, set[str]] = {}
     for namespace in namespaces:
         for flow, message, key in relative:
@@ -78,11 +85,22 @@ def _of_query(role: str, query: Query[Any, Any]) -> Iterator[tuple[Flow, str, st
         yield "egress", "reply", key
 
 
+def _of_topic_behind_router(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
+    """What a router needs to know to ask for its clients; these know no more than before."""
+    if topic.delivery == "latched" and _keys(role, topic.key, topic.readers):
+        yield "egress", "declare_queryable", f"{_any_name(topic.key)}/{_OF_LATCHED}"
+
+
+def _of_query_behind_router(role: str, query: Query[Any, Any]) -> Iterator[tuple[Flow, str, str]]:
+    for key in _keys(role, query.key, query.callers):
+        yield "egress", "declare_queryable", key
+
+
 def _keys(role: str, key: str, who: tuple[str, ...]) -> tuple[str, ...]:
     """Somebody who is named may use every name; one of "each" only its own, "operator/page" only page."""
     if role in who:
         return (_any_name(key),)
-    own = (role,) if "each" in who and role in SERVICES else ()
+    own = (role,) if "each" in who and role in EACH else ()
     given = tuple(entry.removeprefix(f"{role}/") for entry in who if entry.startswith(f"{role}/"))
     return tuple(key.replace("{name}", name) for name in own + given)
 

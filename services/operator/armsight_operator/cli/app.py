@@ -11,7 +11,25 @@ from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from armsight_operator.cli import certs, motion, router, snapshot, status, stop, topics, up
+from armsight_operator.cli import (
+    bridge,
+    certs,
+    doctor,
+    export,
+    metrics,
+    motion,
+    params,
+    record,
+    recording,
+    replay,
+    router,
+    snapshot,
+    status,
+    stop,
+    topics,
+    trace,
+    up,
+)
 
 REFUSED = 1
 """Exit code: a service refused, or nobody answered."""
@@ -63,7 +81,6 @@ app = typer.Typer(
     cls=Commands,
     help="Watch a robot arm through two cameras, and move it.",
     no_args_is_help=True,
-    add_completion=False,
     # Plain text: quick to show, and the same in a pipe.
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -85,7 +102,16 @@ app.command("stop")(stop.stop)
 app.command("release")(stop.release)
 app.command("reset", context_settings=NEGATIVE_NUMBERS)(motion.reset)
 app.add_typer(topics.app, name="topics")
+app.add_typer(params.app, name="params")
+app.command("metrics")(metrics.metrics)
+app.command("doctor")(doctor.doctor)
+app.command("trace")(trace.trace)
 app.command("snapshot")(snapshot.snapshot)
+app.command("record")(record.record)
+app.add_typer(recording.app, name="recording")
+app.command("replay")(replay.replay)
+app.command("export")(export.export)
+app.add_typer(bridge.app, name="bridge")
 app.command("router")(router.router)
 app.add_typer(certs.app, name="certs")
 

@@ -40,7 +40,18 @@ def make(
         typer.Option(
             "--name",
             metavar="NAME=ROLE",
-            help="Somebody else with a certificate, may be given again; roles: sim, vision, control, operator, viewer.",
+            help="Somebody else with a certificate, may be given again; roles: sim, vision, control, recorder, "
+            "operator, viewer.",
+            show_default=False,
+        ),
+    ] = None,
+    router: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--router",
+            metavar="NAME=ROLE,ROLE",
+            help="Another router, linked to the first, and whom it speaks for, such as edge=sim,vision; may be given "
+            "again.",
             show_default=False,
         ),
     ] = None,
@@ -67,12 +78,14 @@ def make(
 
     Keys and certificates that are there are kept: run it again to add somebody, or after an update brought new keys of
     the bus. Configurations are written anew each time, as the flags say.
+
+    Example: armsight certs make --name wall=viewer
     """
     from armsight.errors import ConfigError
     from armsight.session import DEFAULT_NAMESPACE, SessionConfig
-    from armsight.topics import SERVICES
+    from armsight.topics import EACH
     from armsight_operator.certs import folder as certificates
-    from armsight_operator.certs.configuration import configurations
+    from armsight_operator.certs.configuration import check_routers, configurations
     from armsight_operator.certs.layout import CONFIGURATION, ROUTER
 
     namespaces = namespace or [DEFAULT_NAMESPACE]
@@ -81,11 +94,14 @@ def make(
     if wrong := [endpoint for endpoint in (listen, connect) if not endpoint.startswith(("tls/", "quic/"))]:
         raise ConfigError(f"endpoint {wrong[0]!r} has no certificates: it is tls/HOST:PORT")
     bearers = {ROUTER: ROUTER}
-    bearers |= {role: role for role in (*SERVICES, "operator")}
+    bearers |= {role: role for role in (*EACH, "operator")}
     bearers |= dict(_name_and_role(text) for text in name or ())
+    routers = dict(_router_and_roles(text) for text in router or ())
+    bearers |= dict.fromkeys(routers, ROUTER)
     files = certificates.Folder(folder)
-    done = files.make(bearers, (*_HOSTS, *(host or ())), days, ca_days)
-    texts = configurations(files.roles(), [listen], [connect], namespaces)
+    check_routers({**files.roles(), **bearers}, routers)
+    done = files.make(bearers, _HOSTS, days, ca_days, tuple(host or ()))
+    texts = configurations(files.roles(), [listen], [connect], namespaces, routers)
     for bearer, text in texts.items():
         files.write_configuration(bearer, text)
     for bearer, what in done.items():
@@ -109,6 +125,8 @@ def renew(
     """Sign new certificates by the same authority; keys, names and rights stay.
 
     Services take theirs when they next connect, the router when it starts again: restart it before its old one expires.
+
+    Example: armsight certs renew router --host robot.local
     """
     from armsight_operator.certs import folder as certificates
     from armsight_operator.certs.layout import ROUTER
@@ -122,7 +140,10 @@ def renew(
 
 @app.command()
 def show(folder: Folder = Path("certs")) -> None:
-    """Show every certificate with its expiry. Exit code 1 where one can't be used, or expires in less than 14 days."""
+    """Show every certificate with its expiry. Exit code 1 where one can't be used, or expires in less than 14 days.
+
+    Example: armsight certs show --folder certs
+    """
     from rich.console import Console
     from rich.table import Table
 
@@ -146,3 +167,12 @@ def _name_and_role(text: str) -> tuple[str, str]:
     if not (name and equals and role):
         raise ConfigError(f"--name {text!r} does not say what it may do: it is NAME=ROLE, such as wall=viewer")
     return name, role
+
+
+def _router_and_roles(text: str) -> tuple[str, tuple[str, ...]]:
+    from armsight.errors import ConfigError
+
+    name, equals, roles = text.partition("=")
+    if not (name and equals and roles):
+        raise ConfigError(f"--router {text!r} does not say whom it speaks for: it is NAME=ROLE,ROLE")
+    return name, tuple(roles.split(","))

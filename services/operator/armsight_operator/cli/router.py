@@ -15,11 +15,15 @@ from armsight_operator.cli.options import ZenohConfig
 from armsight_operator.errors import CertificateError
 
 if TYPE_CHECKING:
+    import zenoh
+
     from armsight.session import SessionConfig
 
 log = logging.getLogger(__name__)
 
 _PROBE_S = 2.0
+_LOOK_S = 2.0
+"""Between looks at whether links to other routers are up."""
 
 
 def router(
@@ -29,6 +33,15 @@ def router(
             "--listen",
             metavar="ENDPOINT",
             help="Where to listen, may be given again. [default: the Zenoh file's, else tcp/127.0.0.1:7447]",
+            show_default=False,
+        ),
+    ] = None,
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--connect",
+            metavar="ENDPOINT",
+            help="Another router to link this one to, may be given again. [default: the Zenoh file's, else none]",
             show_default=False,
         ),
     ] = None,
@@ -45,18 +58,27 @@ def router(
     """Run the router that every service connects to, until SIGTERM or Ctrl-C.
 
     Without certificates (`armsight certs make`) it listens on this machine alone, unless --insecure-bind is given.
+
+    Robot and operator on two machines, a router on each, that of the robot linked to the operator's (docs/deploy.md):
+    armsight router --zenoh-config certs/edge/zenoh.json5 --connect tls/center.local:7447
+
+    Example: armsight router --listen tcp/127.0.0.1:7447
     """
+    from armsight.session import DEFAULT_ENDPOINT, endpoints_in_file
     from armsight_operator.cli.bus import configuration
     from armsight_operator.exposure import check_exposure, reachable_from_here
 
     config = configuration(None, None, zenoh_config, shared_memory="read")
-    endpoints = tuple(listen or _in_file(config.file, "listen/endpoints") or ("tcp/127.0.0.1:7447",))
+    file = config.file
+    endpoints = tuple(listen or (file and endpoints_in_file(file, "listen", "router")) or (DEFAULT_ENDPOINT,))
+    links = tuple(connect or (file and endpoints_in_file(file, "connect", "router")) or ())
     if health:
         _probe(replace(config, endpoints=tuple(map(reachable_from_here, endpoints))))
         return
     if not insecure_bind:
-        check_exposure(endpoints, mutual_tls=bool(_in_file(config.file, "transport/link/tls/enable_mtls")))
-    _run(replace(config, mode="router", endpoints=endpoints, namespace=""))
+        mutual_tls = bool(_in_file(config.file, "transport/link/tls/enable_mtls"))
+        check_exposure(endpoints, mutual_tls=mutual_tls, links=links)
+    _run(replace(config, mode="router", endpoints=endpoints, links=links, namespace=""))
 
 
 def _run(config: "SessionConfig") -> None:
@@ -76,8 +98,27 @@ def _run(config: "SessionConfig") -> None:
         return
     with session:
         who = "this machine only" if all(map(is_local, config.endpoints)) else "other machines, too"
-        print(f"router listens on {', '.join(config.endpoints)} ({who})", flush=True)
+        linked = f", linked to {', '.join(config.links)}" if config.links else ""
+        print(f"router listens on {', '.join(config.endpoints)} ({who}){linked}", flush=True)
+        if config.links:
+            _watch_links(session, config, stop)
         stop.wait()
+
+
+def _watch_links(session: "zenoh.Session", config: "SessionConfig", stop: threading.Event) -> None:
+    """Says when there is no other router, and why; Zenoh itself tries again and again without a word."""
+    from armsight.session import refusal
+
+    there = ", ".join(config.links)
+    was_linked: bool | None = None
+    while not stop.wait(_LOOK_S):
+        is_linked = bool(session.info.routers_zid())
+        if is_linked != was_linked and not is_linked:
+            reason = refusal(replace(config, endpoints=config.links)) or "is it running, and is the network up?"
+            log.warning("no link to a router at %s, still trying: %s", there, reason)
+        elif is_linked and was_linked is False:
+            log.warning("linked to a router at %s again", there)
+        was_linked = is_linked
 
 
 def _warn_of_certificates(folder: Path) -> None:

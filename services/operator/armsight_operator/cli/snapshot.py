@@ -14,7 +14,10 @@ def snapshot(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Save one instant as files that `armsight-vision` measures without a bus."""
+    """Save one instant as files that `armsight-vision` measures without a bus.
+
+    Example: armsight snapshot snap
+    """
     from armsight_operator.cli.bus import configuration, connected
     from armsight_operator.errors import OperatorError
     from armsight_operator.picture import take_snapshot, write_snapshot

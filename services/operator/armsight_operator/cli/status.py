@@ -25,7 +25,10 @@ def status(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Show health, rate, latency and mode of the running system. Exit code 1 where something is not well."""
+    """Show health, rate, latency and mode of the running system. Exit code 1 where something is not well.
+
+    Example: armsight status --json
+    """
     from armsight_operator.cli.bus import configuration, connected, wait_connected
     from armsight_operator.monitor import Monitor
 

@@ -19,7 +19,10 @@ def stop(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Stop the arm: it decelerates and holds until `armsight release`."""
+    """Stop the arm: it decelerates and holds until `armsight release`.
+
+    Example: armsight stop --reason "somebody is in the way"
+    """
     from armsight_operator.ask import ask_stop
     from armsight_operator.cli.bus import configuration, connected
 
@@ -35,7 +38,10 @@ def release(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Take a stop back. Other sources that stopped the arm keep it stopped."""
+    """Take a stop back. Other sources that stopped the arm keep it stopped.
+
+    Example: armsight release --source door
+    """
     from armsight_operator.ask import ask_release, stopped_by
     from armsight_operator.cli.bus import configuration, connected
 

@@ -1,5 +1,6 @@
 """`armsight topics list | echo | rate`: what goes over the bus."""
 
+import json
 import sys
 import time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,17 +18,24 @@ app = typer.Typer(help="See what goes over the bus.", no_args_is_help=True, rich
 _LONG_FIELDS = ("data",)
 _SILENCE_S = 5.0
 
+AsJson = Annotated[bool, typer.Option("--json", help="JSON, for programs.")]
 Key = Annotated[str, typer.Argument(help="A key of `armsight topics list`, e.g. joints/positions or camera/1/pose.")]
 
 
 @app.command("list")
-def list_topics() -> None:
-    """List every key with its message, publisher and quality of service."""
+def list_topics(as_json: AsJson = False) -> None:
+    """List every key with its message, publisher and quality of service.
+
+    Example: armsight topics list
+    """
     from rich.console import Console
     from rich.table import Table
 
     from armsight.topics import TOPICS
 
+    if as_json:
+        print(json.dumps([_as_dict(topic) for topic in TOPICS]))
+        return
     table = Table("key", "message", "from", "delivery", "priority", box=None, pad_edge=False)
     for topic in TOPICS:
         table.add_row(
@@ -44,7 +52,10 @@ def echo(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Print messages as JSON, one a line, pixels left out."""
+    """Print messages as JSON, one a line, pixels left out.
+
+    Example: armsight topics echo joints/positions --count 1
+    """
     from google.protobuf.json_format import MessageToJson
 
     from armsight_operator.cli.bus import configuration, connected
@@ -71,11 +82,15 @@ def echo(
 def rate(
     key: Key,
     seconds: Annotated[float, typer.Option(help="Seconds to count.", min=0.1, max=3600)] = 3.0,
+    as_json: AsJson = False,
     connect: Connect = None,
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Count messages a second and their mean size."""
+    """Count messages a second and their mean size.
+
+    Example: armsight topics rate camera/1/image --seconds 5
+    """
     from armsight_operator.cli.bus import configuration, connected
 
     topic, name = _find(key)
@@ -88,7 +103,22 @@ def rate(
         subscriber.close()
     if not sizes:
         raise NoDataError(f"nothing on {key} for {seconds:g} s: does its publisher, {_publisher(topic)}, run?")
-    print(f"{len(sizes) / seconds:.1f} Hz, {sum(sizes) / len(sizes) / 1e3:.1f} kB each")
+    rate_hz, mean_bytes = len(sizes) / seconds, sum(sizes) / len(sizes)
+    if as_json:
+        print(json.dumps({"key": key, "messages": len(sizes), "rate_hz": rate_hz, "mean_bytes": mean_bytes}))
+    else:
+        print(f"{rate_hz:.1f} Hz, {mean_bytes / 1e3:.1f} kB each")
+
+
+def _as_dict(topic: "Topic[Any]") -> dict[str, Any]:
+    return {
+        "key": topic.key,
+        "message": topic.message.DESCRIPTOR.full_name,
+        "publishers": topic.publishers,
+        "readers": topic.readers,
+        "delivery": topic.delivery,
+        "priority": topic.priority,
+    }
 
 
 def _publisher(topic: "Topic[Any]") -> str:

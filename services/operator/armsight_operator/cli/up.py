@@ -51,7 +51,10 @@ def up(
     ] = None,
     restart: Annotated[bool, typer.Option(help="Start a service again that died.")] = True,
 ) -> None:
-    """Run the full stack on this machine: router, sim, vision, control and a live web page. Ctrl-C stops all of it."""
+    """Run the full stack on this machine: router, sim, vision, control and a live web page. Ctrl-C stops all of it.
+
+    Example: armsight up --target visible --mode follow
+    """
     from armsight_operator.stack import Stack, Supervisor
 
     stop = threading.Event()

@@ -1,7 +1,6 @@
 """`armsight report`."""
 
 import contextlib
-import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +17,8 @@ from armsight_operator.cli.bus import configuration, connected
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
 from armsight_operator.errors import OperatorError
 from armsight_operator.monitor import Monitor
-from armsight_operator.report import markers, measure, plots, summary
+from armsight_operator.recording.reader import Recording
+from armsight_operator.report import from_recording, markers, measure, pages, plots, summary
 from armsight_operator.report.run import Run, own_stack, wait_ready
 
 _TEST_S = 60.0
@@ -37,6 +37,12 @@ def report(
     noise: Annotated[float, typer.Option(help="Standard deviation of the frames' noise, grey levels.", min=0)] = 0.0,
     ambient: Annotated[str, typer.Option(help="Ambient light: 0 to 1, or 'sweep'.")] = "0.4",
     marker_light: Annotated[str, typer.Option("--markers", help="lit or emissive.")] = "lit",
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--from", metavar="FILE", help="Measure a recording instead; may be given again.", show_default=False
+        ),
+    ] = None,
     attach: Annotated[
         bool, typer.Option("--attach", help="Measure the running stack (lockstep), not one of our own.")
     ] = False,
@@ -44,7 +50,12 @@ def report(
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Measure the whole pipeline against the truth: tables, plots."""
+    """Measure the whole pipeline against the truth, as it runs or from a recording: tables and plots.
+
+    Example: armsight report --quick
+
+    Example: armsight report --from run.mcap
+    """
     if samples not in (0, 4):
         raise typer.BadParameter("0 or 4", param_hint="--samples")
     if marker_light not in ("lit", "emissive"):
@@ -54,6 +65,12 @@ def report(
     except OSError as error:
         raise OperatorError(f"can't write to {out}: {error.strerror}") from error
     began = time.monotonic()
+    if recordings:
+        recorded = from_recording.measure(Recording(*recordings))
+        from_recording.write(recorded, out)
+        print(*from_recording.headlines(recorded), sep="\n")
+        print(f"written to {out}/report.html, report.md and summary.json in {time.monotonic() - began:.0f} s")
+        return
     flags = ("--noise", f"{noise:g}", "--ambient", ambient, "--markers", marker_light)
     with contextlib.ExitStack() as stack:
         if attach:
@@ -72,7 +89,7 @@ def report(
     for key in summary.TITLES:
         rms = ", ".join(f"{symbol} {1000 * value:.1f}" for symbol, value in figures[key]["rms"].items())
         print(f"{key} RMS, mrad: {rms}")
-    print(f"written to {out}/report.md and {out}/summary.json in {time.monotonic() - began:.0f} s")
+    print(f"written to {out}/report.html, report.md and summary.json in {time.monotonic() - began:.0f} s")
 
 
 def _measure(run: Run, *, quick: bool, samples: int, seed: int, poses: int) -> summary.Results:
@@ -96,14 +113,12 @@ def _measure(run: Run, *, quick: bool, samples: int, seed: int, poses: int) -> s
 def _write(results: summary.Results, out: Path) -> None:
     plots.plot_table1(results.table1, out / "table1.png")
     for key, part in results.parts.items():
-        plots.plot_angles(part, out / f"{key}_angles.png")
-        plots.plot_errors(part, out / f"{key}_errors.png")
+        plots.plot_part(part, out, key)
     samples = {key: part.markers for key, part in results.parts.items()}
     if results.random is not None:
         samples["random"] = results.random.markers
     markers.write_csv(samples, out / "markers.csv")
-    (out / "report.md").write_text(summary.to_markdown(results), encoding="utf-8")
-    (out / "summary.json").write_text(json.dumps(summary.to_json(results), indent=2) + "\n", encoding="utf-8")
+    pages.write(summary.to_markdown(results), summary.to_json(results), out)
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 import csv
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from armsight.v1.control_pb2 import IK_STATUS_CONVERGED
 from armsight_operator.report import fixed_scale
-from armsight_operator.report.chain import OBSERVABLE_RAD, Array, Flags, tip_from_markers
+from armsight_operator.report.chain import OBSERVABLE_RAD, Arm, Array, Flags, tip_from_markers
 from armsight_operator.report.markers import Sample, samples_of
 from armsight_operator.report.run import Instant, Run, centres
 
@@ -116,20 +116,26 @@ def table1(run: Run, progress: Progress) -> list[PoseRow]:
     return rows
 
 
+SYMBOLS = ("theta", "nu", "phi", "psi")
+"""Of the joints of the report's arm."""
+
+FREE = {"test-1": (1, 2, 3), "test-2": (0, 2, 3)}
+"""Joints that move, by mode; all of them in the others."""
+
+
 def part1(run: Run, begin_s: float, duration_s: float, progress: Progress) -> Part:
     """Joint 1 fixed at 0."""
-    return _part(run, "test-1", ("nu", "phi", "psi"), (1, 2, 3), PART1_PERIODS, (begin_s, duration_s), progress)
+    return _part(run, "test-1", PART1_PERIODS, (begin_s, duration_s), progress)
 
 
 def part2(run: Run, begin_s: float, duration_s: float, progress: Progress) -> Part:
     """Joint 2 fixed at 0."""
-    return _part(run, "test-2", ("theta", "phi", "psi"), (0, 2, 3), PART2_PERIODS, (begin_s, duration_s), progress)
+    return _part(run, "test-2", PART2_PERIODS, (begin_s, duration_s), progress)
 
 
 def all_joints(run: Run, begin_s: float, duration_s: float, progress: Progress) -> Part:
     """All four joints move."""
-    symbols = ("theta", "nu", "phi", "psi")
-    return _part(run, "test-all", symbols, (0, 1, 2, 3), ALL_PERIODS, (begin_s, duration_s), progress)
+    return _part(run, "test-all", ALL_PERIODS, (begin_s, duration_s), progress)
 
 
 def random_poses(run: Run, seed: int, count: int, progress: Progress) -> Random:
@@ -173,8 +179,6 @@ def descents(run: Run, seed: int, count: int, progress: Progress) -> list[Descen
 def _part(
     run: Run,
     mode: str,
-    symbols: tuple[str, ...],
-    joints: tuple[int, ...],
     periods: tuple[float, ...],
     span_s: tuple[float, float],
     progress: Progress,
@@ -183,17 +187,30 @@ def _part(
     run.hold()
     run.markers_at(run.reset(path(periods, begin_s)))
     instants = run.follow(mode, begin_s, duration_s, progress)
+    return part_of(mode, instants, run.arm, len(run.cameras), begin_s)
+
+
+def part_of(
+    mode: str,
+    instants: Sequence[Instant],
+    arm: Arm,
+    cameras: int,
+    begin_s: float,
+) -> Part:
+    """A motion that was watched, live or recorded, beside its truth."""
+    names = SYMBOLS if len(arm.names) == len(SYMBOLS) else arm.names
+    joints = FREE.get(mode, tuple(range(len(names)))) if names is SYMBOLS else tuple(range(len(names)))
     free = list(joints)
-    sigma = np.array([run.arm.sigma(instant.true, joints) for instant in instants])
+    sigma = np.array([arm.sigma(instant.true, joints) for instant in instants])
     return Part(
         name=mode,
-        symbols=symbols,
+        symbols=tuple(names[joint] for joint in joints),
         joints=joints,
         time_s=begin_s + _seconds(instants),
         estimated=np.array([instant.estimated for instant in instants])[:, free],
         true=np.array([instant.true for instant in instants])[:, free],
         observable=sigma < OBSERVABLE_RAD,
-        markers=[s for i in instants for s in samples_of(run.arm, i.positions, i.true, len(run.cameras))],
+        markers=[s for i in instants for s in samples_of(arm, i.positions, i.true, cameras)],
     )
 
 
@@ -203,6 +220,6 @@ def path(periods: tuple[float, ...], time_s: float) -> Array:
     return np.array([a * np.sin(np.pi * time_s / p) if p else 0.0 for a, p in zip(amplitudes, periods, strict=True)])
 
 
-def _seconds(instants: list[Instant]) -> Array:
+def _seconds(instants: Sequence[Instant]) -> Array:
     stamps = np.array([instant.capture_ns for instant in instants], dtype=np.int64)
     return np.asarray((stamps - stamps[0]) * 1e-9)

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from armsight_operator.report.chain import Array
 from armsight_operator.report.measure import Part, PoseRow
 
 # Colours that readers with the usual colour-blindnesses can tell apart (Okabe and Ito).
@@ -36,6 +37,12 @@ def plot_table1(rows: list[PoseRow], file: Path) -> None:
     figure.savefig(file, dpi=_DPI)
 
 
+def plot_part(part: Part, folder: Path, key: str) -> None:
+    """Angles and errors of a motion, in files that are named by a key."""
+    plot_angles(part, folder / f"{key}_angles.png")
+    plot_errors(part, folder / f"{key}_errors.png")
+
+
 def plot_angles(part: Part, file: Path) -> None:
     """Estimated and true angle over time, a panel a joint."""
     figure = Figure(figsize=(8, 5.5), layout="constrained")
@@ -61,9 +68,20 @@ def plot_errors(part: Part, file: Path) -> None:
     figure.savefig(file, dpi=_DPI)
 
 
+def plot_tip(time_s: Array, distance_m: Array, file: Path) -> None:
+    """How far the tip is from its target over time."""
+    figure = Figure(figsize=(8, 2.6), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(time_s, 1000 * distance_m, color=_OTHER, linewidth=1)
+    axes.set_xlabel("time, s")
+    axes.set_ylabel("tip from target, mm")
+    axes.grid(alpha=0.3)
+    figure.savefig(file, dpi=_DPI)
+
+
 def _panels(figure: Figure, part: Part):  # type: ignore[no-untyped-def]
     panels = figure.subplots(len(part.symbols), 1, sharex=True)
     for axes in panels:
         axes.grid(alpha=0.3)
     panels[-1].set_xlabel("time of the test, s")
-    return list(zip(panels, (_LETTERS[symbol] for symbol in part.symbols), strict=True))
+    return list(zip(panels, (_LETTERS.get(symbol, symbol) for symbol in part.symbols), strict=True))

@@ -42,7 +42,7 @@ def to_json(results: Results) -> dict[str, Any]:
             "report_method_mse": mean_squared(np.array([row.report_method - row.truth for row in rows])),
             "rows": [_row(row) for row in rows],
         },
-        **{key: _part(part) for key, part in results.parts.items()},
+        **{key: part_figures(part) for key, part in results.parts.items()},
         "ik": {
             descent.initialisation: {
                 "targets": descent.targets,
@@ -51,10 +51,7 @@ def to_json(results: Results) -> dict[str, Any]:
             }
             for descent in results.descents
         },
-        "latency_ms": {
-            "p50": float(np.percentile(results.latencies_ms, 50)),
-            "p99": float(np.percentile(results.latencies_ms, 99)),
-        },
+        "latency_ms": latency_figures(results.latencies_ms),
     }
     if results.random is not None:
         distance = np.linalg.norm(results.random.error, axis=1)
@@ -104,24 +101,7 @@ def to_markdown(results: Results) -> str:
         "",
     ]
     for key, title in TITLES.items():
-        part = summary[key]
-        lines += [
-            f"## {title}",
-            "",
-            "| joint | RMS, mrad | max, mrad | observable |",
-            "|---|---|---|---|",
-            *(
-                f"| {symbol} | {1000 * part['rms'][symbol]:.1f} | {1000 * part['max'][symbol]:.1f} "
-                f"| {100 * part['observable'][symbol]:.0f} % |"
-                for symbol in part["rms"]
-            ),
-            "",
-            f"![angles]({key}_angles.png)",
-            "",
-            f"![errors]({key}_errors.png)",
-            "",
-            *_marker_lines(part["markers"]),
-        ]
+        lines += [f"## {title}", "", *part_lines(key, summary[key])]
     lines += [
         "## Inverse kinematics: the report's gradient descent",
         "",
@@ -139,15 +119,42 @@ def to_markdown(results: Results) -> str:
             "",
             *_marker_lines(r["markers"]),
         ]
-    latency = summary["latency_ms"]
-    lines += [
+    lines += ["", *latency_lines(summary["latency_ms"])]
+    return "\n".join(lines)
+
+
+def part_lines(key: str, part: dict[str, Any]) -> list[str]:
+    """One motion's tables and plots; its plots are named by the key."""
+    return [
+        "| joint | RMS, mrad | max, mrad | observable |",
+        "|---|---|---|---|",
+        *(
+            f"| {symbol} | {1000 * part['rms'][symbol]:.1f} | {1000 * part['max'][symbol]:.1f} "
+            f"| {100 * part['observable'][symbol]:.0f} % |"
+            for symbol in part["rms"]
+        ),
         "",
+        f"![angles]({key}_angles.png)",
+        "",
+        f"![errors]({key}_errors.png)",
+        "",
+        *_marker_lines(part["markers"]),
+    ]
+
+
+def latency_figures(latencies_ms: Array) -> dict[str, float]:
+    """Frames sent to command sent."""
+    return {"p50": float(np.percentile(latencies_ms, 50)), "p99": float(np.percentile(latencies_ms, 99))}
+
+
+def latency_lines(latency: dict[str, float]) -> list[str]:
+    """The same for people."""
+    return [
         "## Latency",
         "",
         f"Frames sent to command sent: p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms.",
         "",
     ]
-    return "\n".join(lines)
 
 
 def _marker_lines(told: dict[str, Any]) -> list[str]:
@@ -172,7 +179,8 @@ def _marker_lines(told: dict[str, Any]) -> list[str]:
     ]
 
 
-def _part(part: Part) -> dict[str, Any]:
+def part_figures(part: Part) -> dict[str, Any]:
+    """Of one motion: radians and metres; what can't be observed doesn't count."""
     rms, worst, share = {}, {}, {}
     for index, symbol in enumerate(part.symbols):
         counted = part.error[part.observable[:, index], index]

@@ -265,6 +265,16 @@ v1::JointPositions encode_positions(std::int64_t capture_ns, std::span<const Mar
     return message;
 }
 
+v1::SetParametersRequest decode_set_parameters(Bytes payload) { return parse<v1::SetParametersRequest>(payload); }
+
+v1::Parameters encode_parameters(std::int64_t now_ns, std::span<const v1::Parameter> parameters) {
+    v1::Parameters message;
+    message.mutable_time()->set_seconds(now_ns / kNsPerS);
+    message.mutable_time()->set_nanos(static_cast<std::int32_t>(now_ns % kNsPerS));
+    for (const v1::Parameter& parameter : parameters) *message.add_parameters() = parameter;
+    return message;
+}
+
 std::uint64_t decode_sent_ns(Bytes attachment) {
     if (attachment.size() != sizeof(std::uint64_t)) return 0;
     std::uint64_t value = 0;

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "armsight/v1/joints.pb.h"
+#include "armsight/v1/parameters.pb.h"
 #include "armsight/vision/description.hpp"
 #include "armsight/vision/estimate.hpp"
 
@@ -59,6 +60,9 @@ struct Stages {
 };
 [[nodiscard]] v1::JointPositions encode_positions(std::int64_t capture_ns, std::span<const MarkerEstimate> estimates,
                                                   const Stages& stages);
+
+[[nodiscard]] v1::SetParametersRequest decode_set_parameters(Bytes payload);
+[[nodiscard]] v1::Parameters encode_parameters(std::int64_t now_ns, std::span<const v1::Parameter> parameters);
 
 /// The 8 bytes (little-endian Unix nanoseconds) beside each frame; 0 when there are none.
 [[nodiscard]] std::uint64_t decode_sent_ns(Bytes attachment);

@@ -11,9 +11,9 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 #include <variant>
 
-#include "armsight/v1/parameters.pb.h"
 #include "armsight/vision/backend.hpp"
 #include "armsight/vision/pipeline.hpp"
 #include "service/annotations.hpp"
@@ -23,6 +23,7 @@
 #include "service/keys.hpp"
 #include "service/logs.hpp"
 #include "service/pairing.hpp"
+#include "service/parameter_server.hpp"
 #include "service/reader.hpp"
 #include "service/rig.hpp"
 #include "service/session_config.hpp"
@@ -39,7 +40,6 @@ constexpr milliseconds kListenersPeriod{500};  // how often to ask whether anybo
 constexpr milliseconds kRetry{100};
 constexpr milliseconds kProbe{3000};
 constexpr int kHintAfterAttempts = 4;
-constexpr const char* kParameters = "vision";
 
 std::optional<zenoh::Session> open_session(const zenoh::Config& config, const std::atomic<bool>& stop) {
     zenoh::init_log();
@@ -80,6 +80,13 @@ class Rate {
     double sum_ms_ = 0;
 };
 
+std::string configuration_of(const Settings& settings, bool shared_memory) {
+    return nlohmann::json{{"connect", settings.connect},           {"namespace", settings.name_space},
+                          {"zenoh_config", settings.zenoh_config}, {"log_level", settings.log_level},
+                          {"backend", settings.backend},           {"shared_memory", shared_memory}}
+        .dump();
+}
+
 class Service {
   public:
     Service(const zenoh::Session& session, const Settings& settings, bool shared_memory);
@@ -92,11 +99,8 @@ class Service {
     [[nodiscard]] bool has_listeners();
     void annotate_for_listeners(const Instant& instant, const std::vector<MarkerEstimate>& estimates);
     void report_health(SteadyTime now);
-    void serve_parameters(const std::stop_token& stop);
 
     const zenoh::Session& session_;
-    Classifier classifier_;
-    std::string parameters_;
     Counters counters_;
     Rig rig_;
     HealthReporter health_;
@@ -117,30 +121,20 @@ class Service {
     SteadyTime answered_;
     Rate rate_;
 
-    zenoh::Queryable queryable_;
+    ParameterServer parameters_;
+    Tunables built_with_;
     std::map<std::string, std::unique_ptr<Reader>> image_readers_;
     std::list<Reader> readers_;
-    std::jthread parameters_thread_;
 };
 
 Service::Service(const zenoh::Session& session, const Settings& settings, bool shared_memory)
     : session_(session),
-      classifier_(classifier_of(settings.backend)),
       health_(session, counters_),
       positions_(session.declare_publisher(topics::kJointPositions.key, topics::kJointPositions.encoding,
                                            options_of(topics::kJointPositions))),
       rate_(steady_clock::now()),
-      queryable_(session.declare_queryable(key_for(topics::kParametersQuery.key, kParameters))) {
-    v1::ParametersResponse response;
-    response.set_json(nlohmann::json{
-        {"connect", settings.connect},
-        {"namespace", settings.name_space},
-        {"zenoh_config", settings.zenoh_config},
-        {"log_level", settings.log_level},
-        {"backend", settings.backend},
-        {"shared_memory",
-         shared_memory}}.dump());
-    parameters_ = response.SerializeAsString();
+      parameters_(session, {.backend = settings.backend, .colors = {}}, configuration_of(settings, shared_memory),
+                  counters_) {
     readers_.emplace_back(session, topics::kDescription, "", counters_,
                           [this](const zenoh::Sample& sample) { rig_.set(decode_description(sample.get_payload())); });
     readers_.emplace_back(session, topics::kCameraCalibration, "*", counters_, [this](const zenoh::Sample& sample) {
@@ -149,12 +143,11 @@ Service::Service(const zenoh::Session& session, const Settings& settings, bool s
     readers_.emplace_back(session, topics::kCameraPose, "*", counters_, [this](const zenoh::Sample& sample) {
         rig_.set(std::string(name_before_last(sample.get_keyexpr())), decode_pose(sample.get_payload()));
     });
-    parameters_thread_ = std::jthread([this](const std::stop_token& stop) { serve_parameters(stop); });
 }
 
 void Service::loop(const std::atomic<bool>& stop) {
     while (!stop) {
-        if (rig_.version() != built_version_) rebuild();
+        if (rig_.version() != built_version_ || parameters_.in_force() != built_with_) rebuild();
         std::optional<Instant> instant;
         {
             std::unique_lock lock(mutex_);
@@ -207,9 +200,12 @@ void Service::take_image(const std::string& camera, zenoh::Sample sample) {
     arrived_.notify_one();
 }
 
-// From what the bus told of the arm and its cameras. A marker's past is kept unless the markers change.
+// From what the bus told of the arm and its cameras, and the parameters in force. A marker's past is kept unless the
+// markers, or how their colours are found, change.
 void Service::rebuild() {
     built_version_ = rig_.version();
+    const Tunables wanted = parameters_.in_force();
+    if (std::exchange(built_with_, wanted) != wanted) pipeline_.reset();
     problem_ = rig_.missing();
     if (!problem_.empty()) return;
     const auto description = rig_.description();
@@ -221,7 +217,7 @@ void Service::rebuild() {
     if (!problem_.empty()) return;
     try {
         if (!pipeline_ || markers_ != description->markers) {
-            pipeline_.emplace(description->markers, classifier_);
+            pipeline_.emplace(description->markers, classifier_of(built_with_.backend), built_with_.colors);
             markers_ = description->markers;
         }
     } catch (const std::invalid_argument& error) {
@@ -322,18 +318,6 @@ void Service::report_health(SteadyTime now) {
     }
 }
 
-void Service::serve_parameters(const std::stop_token& stop) {
-    while (!stop.stop_requested()) {
-        try {
-            if (const auto query = queryable_.recv(milliseconds{100})) {
-                query->reply(zenoh::as_bytes(parameters_), topics::kParametersQuery.response_encoding);
-            }
-        } catch (const zenoh::ZException&) {
-            return;  // the session is closed
-        }
-    }
-}
-
 }  // namespace
 
 int run(const Settings& settings, const std::atomic<bool>& stop) {
@@ -365,7 +349,7 @@ int probe(const Settings& settings) {
         if (!session) throw std::runtime_error("no router within 3 s");
         std::string text;
         try {
-            (void)session->get(key_for(topics::kParametersQuery.key, kParameters), {}, kProbe);
+            (void)session->get(key_for(topics::kParametersQuery.key, "vision"), {}, kProbe);
         } catch (const zenoh::ZException& error) {
             text = error.what();
         }

@@ -35,9 +35,24 @@ struct ColorCone {
     }
 };
 
+/// How far from a marker's own colour its pixels may be.
+struct ColorThresholds {
+    /// Chroma (distance from the grey axis) below which noise decides, in grey levels: 3.5 times a sensor noise of 4.
+    double chroma_floor = 14.0;
+    /// Share of the marker's own saturation that a pixel must have. Mixed pixels at an outline keep it while the marker
+    /// covers most of them; the sub-pixel edge is found by unmixing later.
+    double saturation_share = 0.3;
+    /// Half width of a hue: 2.4 standard deviations of the hue of a marker as dark as 40 grey levels at noise 4, and
+    /// narrower than half of the 60 degrees between red and yellow, so that orange is neither.
+    double hue_half_width_deg = 20.0;
+
+    friend bool operator==(const ColorThresholds&, const ColorThresholds&) = default;
+};
+
 /// One cone for each marker. They don't overlap: between neighbouring hues the bisector decides.
 /// Throws std::invalid_argument when a marker is grey or two have nearly the same hue.
-[[nodiscard]] std::vector<ColorCone> color_cones(std::span<const MarkerModel> markers);
+[[nodiscard]] std::vector<ColorCone> color_cones(std::span<const MarkerModel> markers,
+                                                 const ColorThresholds& thresholds = {});
 
 /// Pixels x0 <= x < x1 of row y that belong to one marker.
 struct Run {

@@ -27,7 +27,8 @@ class Pipeline {
   public:
     /// Throws std::invalid_argument when markers cannot be told apart, and says which. A sphere and a box may have the
     /// same colour: shape tells them apart.
-    explicit Pipeline(std::vector<MarkerModel> markers, Classifier classifier = classify);
+    explicit Pipeline(std::vector<MarkerModel> markers, Classifier classifier = classify,
+                      const ColorThresholds& thresholds = {});
     ~Pipeline();
     Pipeline(Pipeline&&) noexcept;
     Pipeline& operator=(Pipeline&&) noexcept;

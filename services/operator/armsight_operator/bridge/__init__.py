@@ -1,0 +1,1 @@
+"""Live views in other people's applications: the bus as their protocols have it."""
