@@ -138,7 +138,7 @@ def test_only_readers_of_a_topic_hear_it(places: Callable[[str], Bus], topic: To
 
 @pytest.mark.parametrize("topic", LATCHED, ids=lambda topic: topic.name)
 def test_late_readers_of_a_latched_topic_get_its_last_value(places: Callable[[str], Bus], topic: Topic[Any]) -> None:
-    (who,) = topic.publishers
+    who = topic.publishers[0]
     publisher = "vision" if who == "each" else who
     wild = "*" if "{name}" in topic.key else None
     name = ("vision" if who == "each" else "1") if wild else None
@@ -410,7 +410,11 @@ def test_operator_has_the_health_of_its_page_and_of_nobody_else() -> None:
     operator = rights("operator", ["robots/a"])
     for right in ("put", "liveliness_token"):
         assert [key for key in operator["ingress", right] if "health" in key] == ["robots/a/health/page"]
-    assert operator["ingress", "declare_queryable"] == ("robots/a/page/parameters",)
+    assert operator["ingress", "declare_queryable"] == (
+        "robots/a/page/parameters",
+        "robots/a/page/parameters/set",
+        "robots/a/parameters/page/@adv/pub/**",
+    )
     assert not [key for keys in rights("viewer", ["robots/a"]).values() for key in keys if "page" in key]
 
 
