@@ -125,7 +125,8 @@ def test_restart_while_moving_holds_the_arm_and_it_goes_on(compose: Compose, vic
         compose("up", "--detach", "--wait")
         compose.wait_until_it_follows(60)
     if victims not in ((), ("sim",)):  # another sim is another arm
-        assert watch.longest_rest_s() > 0.3, "the arm did not hold"
+        if victims != ("router",):  # without a router nobody sees it hold
+            assert watch.longest_rest_s() > 0.3, "the arm did not hold"
         watch.truth.assert_speed_below(5.0)
 
 
