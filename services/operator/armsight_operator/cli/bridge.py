@@ -1,12 +1,11 @@
 """`armsight bridge foxglove`: the running system in Foxglove and Lichtblick."""
 
-import signal
-import threading
 from typing import Annotated
 
 import typer
 
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
+from armsight_operator.cli.stopping import stop_on_signals
 
 app = typer.Typer(
     help="Look at the running system with other applications.", no_args_is_help=True, rich_markup_mode=None
@@ -59,9 +58,7 @@ def foxglove(
     except ModuleNotFoundError as error:
         raise ConfigError(_NEEDS) from error
     set_up_logging("bridge", "warning")
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_on_signals()
     with wait_connected(configuration(connect, namespace, zenoh_config, shared_memory="read"), stop) as bus:
         if bus is None:
             return

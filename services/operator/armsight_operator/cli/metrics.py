@@ -1,12 +1,11 @@
 """`armsight metrics`: what the services say of themselves, for Prometheus."""
 
-import signal
-import threading
 from typing import Annotated
 
 import typer
 
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
+from armsight_operator.cli.stopping import stop_on_signals
 
 PORT = 9464
 
@@ -35,9 +34,7 @@ def metrics(
     config = configuration(connect, namespace, zenoh_config)
     check_host(host, insecure_bind=insecure_bind)
     set_up_logging("metrics", "warning")
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_on_signals()
     watch = Watch()
     with MetricsServer(host, port, registry(watch.observe), watch.connected) as server:
         print(f"metrics at {server.url}", flush=True)

@@ -1,7 +1,6 @@
 """`armsight record`: what goes over the bus, as an MCAP file."""
 
 import argparse
-import signal
 import threading
 from contextlib import ExitStack
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
+from armsight_operator.cli.stopping import stop_on_signals
 
 if TYPE_CHECKING:
     from armsight.session import SessionConfig
@@ -109,9 +109,7 @@ def _run(
     from armsight_operator.recording.series import Series
 
     set_up_logging(NAME, "warning")
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_on_signals()
     with ExitStack() as places:
         bus = places.enter_context(wait_connected(config, stop))
         frames = places.enter_context(wait_connected(config, stop))

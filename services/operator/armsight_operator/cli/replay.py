@@ -1,13 +1,12 @@
 """`armsight replay`: a recording back onto the bus."""
 
-import signal
-import threading
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
+from armsight_operator.cli.stopping import stop_on_signals
 
 
 def replay(
@@ -62,9 +61,7 @@ def replay(
     recording = Recording(*files)
     inputs = inputs_of(to, guarded=with_commands)
     selection = select(key or (), without or ())
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_on_signals()
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
         if not beside_sim:
             check_no_sim(bus)

@@ -2,7 +2,6 @@
 
 import json
 import logging
-import signal
 import threading
 from contextlib import suppress
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armsight_operator.cli.options import ZenohConfig
+from armsight_operator.cli.stopping import stop_on_signals
 from armsight_operator.errors import CertificateError
 
 if TYPE_CHECKING:
@@ -90,9 +90,7 @@ def _run(config: "SessionConfig") -> None:
     set_up_logging("router", "warning")
     if config.file is not None and (config.file.parent / CERTIFICATE).exists():
         _warn_of_certificates(config.file.parent)
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_on_signals()
     session = open_session(config, stop)
     if session is None:
         return

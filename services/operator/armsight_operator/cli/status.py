@@ -2,14 +2,13 @@
 
 import dataclasses
 import json
-import signal
-import threading
 import time
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
+from armsight_operator.cli.stopping import stop_on_signals
 
 if TYPE_CHECKING:
     from armsight_operator.monitor import Snapshot
@@ -34,9 +33,7 @@ def status(
 
     config = configuration(connect, namespace, zenoh_config)
     if follow:
-        stop = threading.Event()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: stop.set())
+        stop = stop_on_signals()
         with wait_connected(config, stop) as bus:
             if bus is None:
                 return

@@ -1,9 +1,7 @@
 """`armsight trace`: where the time of each frame goes."""
 
 import json
-import signal
 import sys
-import threading
 import time
 from collections import deque
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
+from armsight_operator.cli.stopping import stop_on_signals
 from armsight_operator.errors import NoDataError, OperatorError
 
 if TYPE_CHECKING:
@@ -81,10 +80,8 @@ def _frames(config: "SessionConfig", count: int) -> "Iterator[Frame]":
     from armsight_operator.cli.bus import connected
     from armsight_operator.trace.listen import Listener
 
-    stop = threading.Event()
     with connected(config) as bus:
-        for number in (signal.SIGTERM, signal.SIGINT):  # only now: nothing is waiting for a router any more
-            signal.signal(number, lambda *_: stop.set())
+        stop = stop_on_signals()  # only now: nothing is waiting for a router any more
         listener, given, silent_s = Listener(bus), 0, 0.0
         while not stop.is_set() and (count == 0 or given < count):
             frame = listener.get(_POLL_S)

@@ -1,7 +1,6 @@
 """`armsight up`: the full stack on this machine until Ctrl-C."""
 
 import os
-import signal
 import sys
 import threading
 import time
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armsight_operator.cli.stopping import stop_on_signals
 from armsight_operator.errors import OperatorError
 
 if TYPE_CHECKING:
@@ -47,9 +47,7 @@ def up(
     """
     from armsight_operator.stack import Stack, Supervisor
 
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_on_signals()
     began = time.monotonic()
     extra = {"target": target, "clock": clock, "samples": samples, "mode": mode}
     with Stack(out=out, port=port, namespace=namespace, certificates=certificates, **extra) as stack:  # type: ignore[arg-type]

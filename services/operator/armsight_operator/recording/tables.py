@@ -20,6 +20,7 @@ from armsight.v1.geometry_pb2 import Vector3
 from armsight.v1.health_pb2 import Health, HealthStatus
 from armsight.v1.joints_pb2 import JointCommand, JointPositions, MarkerStatus, StageTimes
 from armsight_operator.errors import OperatorError
+from armsight_operator.monitor import Enum, word
 from armsight_operator.recording.reader import Entry, Recording, topic_of
 
 Row = list[object]
@@ -91,7 +92,7 @@ def _joints(topic: Topic[Any], entry: Entry, message: Any) -> Iterator[tuple[str
 def _positions(topic: Topic[Any], entry: Entry, message: JointPositions) -> Iterator[tuple[str, Row]]:
     del topic
     for marker in message.markers:
-        status = _word(MarkerStatus.Name(marker.status), "MARKER_STATUS_")
+        status = _word(MarkerStatus, marker.status, "MARKER_STATUS_")
         place = _point(marker.position if marker.HasField("position") else None)
         covariance: Row = list(marker.covariance) or [""] * len(_COVARIANCE)
         age = from_duration(marker.age)
@@ -118,9 +119,9 @@ def _status(topic: Topic[Any], entry: Entry, message: ControlStatus) -> Iterator
         [
             entry.instant_ns if has_instant else "",
             entry.log_ns,
-            _word(ControlMode.Name(message.mode), "CONTROL_MODE_"),
-            _word(ControlState.Name(message.state), "CONTROL_STATE_"),
-            _word(SafetyCode.Name(message.safety), "SAFETY_CODE_"),
+            _word(ControlMode, message.mode, "CONTROL_MODE_"),
+            _word(ControlState, message.state, "CONTROL_STATE_"),
+            _word(SafetyCode, message.safety, "SAFETY_CODE_"),
             message.detail,
             message.estimator,
             *_point(message.tip if message.HasField("tip") else None),
@@ -134,7 +135,7 @@ def _status(topic: Topic[Any], entry: Entry, message: ControlStatus) -> Iterator
 
 def _health(topic: Topic[Any], entry: Entry, message: Health) -> Iterator[tuple[str, Row]]:
     del topic
-    status = _word(HealthStatus.Name(message.status), "HEALTH_STATUS_")
+    status = _word(HealthStatus, message.status, "HEALTH_STATUS_")
     about: Row = [entry.log_ns, message.service, status, message.detail]
     values: list[tuple[object, ...]] = [("counter", name, value) for name, value in sorted(message.counters.items())]
     values += [("gauge", name, value) for name, value in sorted(message.gauges.items())]
@@ -157,5 +158,5 @@ def _point(point: Vector3 | None) -> Row:
     return ["", "", ""] if point is None else [point.x, point.y, point.z]
 
 
-def _word(name: str, prefix: str) -> str:
-    return name.removeprefix(prefix).lower().replace("_", "-")
+def _word(enum: Enum, value: int, prefix: str) -> str:
+    return word(enum, value, prefix).replace("_", "-")
