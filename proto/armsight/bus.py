@@ -289,16 +289,7 @@ class Bus:
         size = topic.ring if keep is None else keep
         key = topic.key_for(name)
         ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(size)
-        inner: Any
-        if topic.delivery == "latched":
-            inner = zenoh.ext.declare_advanced_subscriber(
-                self.session,
-                key,
-                ring,
-                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
-            )
-        else:
-            inner = self.session.declare_subscriber(key, ring)
+        inner = self._declare_subscriber(topic, key, ring)
         subscriber = Subscriber(topic, inner, size, self.counters, on_message)
         self._threads.append(subscriber.thread)
         return subscriber
@@ -320,12 +311,7 @@ class Bus:
         """
         key, expected = topic.key_for(name), encoding_of(topic.message)
         channel: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(fifo)
-        inner: Any
-        if topic.delivery == "latched":
-            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
-            inner = zenoh.ext.declare_advanced_subscriber(self.session, key, channel, history=history)
-        else:
-            inner = self.session.declare_subscriber(key, channel)
+        inner = self._declare_subscriber(topic, key, channel)
 
         def read() -> None:
             handler = inner.handler  # as in Subscriber; and the thread keeps the subscriber, whoever forgets it
@@ -413,6 +399,12 @@ class Bus:
             f"nobody answers {key} within {timeout_s:g} s: is {name or query.server} running, and may we ask it? "
             "(a router with certificates lets nobody ask without the right)"
         )
+
+    def _declare_subscriber(self, topic: Topic[Any], key: str, channel: Any) -> Any:
+        if topic.delivery != "latched":
+            return self.session.declare_subscriber(key, channel)
+        history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+        return zenoh.ext.declare_advanced_subscriber(self.session, key, channel, history=history)
 
     def _answer(self, query: Query[Request, Response], handler: Callable[[Request], Response], asked: Any) -> None:
         payload = asked.payload.to_bytes() if asked.payload is not None else b""
