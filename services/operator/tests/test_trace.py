@@ -118,6 +118,14 @@ def test_a_stage_that_ends_before_it_begins_is_counted_and_not_shown() -> None:
     assert "clocks" not in summary_as_line(sane)
 
 
+def test_a_listener_that_hears_late_says_nothing_against_the_clocks() -> None:
+    late = Frame(1, {"clock_heard_ns": BEGAN + 50 * MS, "frames_sent_ns": BEGAN})
+    statistics = Statistics()
+    statistics.add(late)
+    assert in_ms(late)["draw"] is None
+    assert statistics.contradicted == 0
+
+
 def test_statistics_are_of_the_newest_frames() -> None:
     statistics = Statistics(window=100)
     for late in (500, *range(1, 101)):  # the first is out of the window

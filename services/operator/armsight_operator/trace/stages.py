@@ -81,7 +81,12 @@ class Frame:
         return took if 0.0 <= took <= LONGEST_S else None
 
     def contradicted(self, stage: Stage) -> bool:
-        """Whether both ends are known and can't both be true."""
+        """Whether both ends are known and can't both be true.
+
+        A listener that hears late of a stage's beginning contradicts nobody: it is late, whatever the clocks say.
+        """
+        if stage.begin == CLOCK_HEARD:
+            return False
         return stage.begin in self.instants and stage.end in self.instants and self.seconds(stage) is None
 
 
