@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -34,7 +35,9 @@ class Compose:
 
     def __init__(self, project: str = PROJECT, **environment: str) -> None:
         self.project = project
-        self.environment = os.environ | {"ARMSIGHT_PORT": str(free_port())} | environment
+        self.environment = (
+            os.environ | {"ARMSIGHT_PORT": str(free_port()), "ARMSIGHT_PAGE_PORT": str(free_port())} | environment
+        )
 
     def run(self, *words: str, timeout_s: float = UP_S) -> subprocess.CompletedProcess[str]:
         command = ["docker", "compose", "--project-name", self.project, *words]
@@ -108,6 +111,12 @@ def test_arm_follows_its_target_in_containers(compose: Compose) -> None:
     status = compose.wait_until_it_follows(60)
     assert status["mode"] == "track"
     assert status["rate_hz"] > 5
+
+
+def test_page_is_served_to_this_machine(compose: Compose) -> None:
+    address = f"http://127.0.0.1:{compose.environment['ARMSIGHT_PAGE_PORT']}"
+    with urllib.request.urlopen(address, timeout=10) as answer:
+        assert b"viser" in answer.read().lower()
 
 
 def test_the_solvers_run_compiled_though_the_image_has_no_compiler(compose: Compose) -> None:
@@ -257,7 +266,7 @@ def test_nobody_in_an_image_can_become_another_compile_or_replace_a_program(comp
 
 
 def test_no_container_runs_as_root_or_can_write_to_its_image(compose: Compose) -> None:
-    for service in ("router", "sim", "vision", "control", "operator"):
+    for service in ("router", "sim", "vision", "control", "operator", "page"):
         assert compose("exec", "-T", service, "id", "-u").strip() == "10001", service
         write = compose.run("exec", "-T", service, "touch", "/usr/local/file")
         assert write.returncode != 0, service

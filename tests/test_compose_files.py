@@ -16,7 +16,9 @@ from armsight_operator.cli.app import main
 ROOT = Path(__file__).parents[1]
 BASE, SECURE = "docker-compose.yml", "docker-compose.secure.yml"
 EDGE, CENTER = "docker-compose.edge.yml", "docker-compose.center.yml"
-BUS = ("router", "sim", "vision", "control", "operator")
+BUS = ("router", "sim", "vision", "control", "operator", "page")
+BEARERS = BUS[:-1]
+"""Of certificates: the page has the operator's."""
 
 HAS_COMPOSE = (
     shutil.which("docker")
@@ -50,10 +52,10 @@ def either(request: pytest.FixtureRequest) -> Services:
     return services(*request.param)
 
 
-def test_only_the_router_has_a_port_and_only_on_this_machine(either: Services) -> None:
+def test_only_router_and_page_have_a_port_and_only_on_this_machine(either: Services) -> None:
     assert set(either) == set(BUS)
     ports = {name: [port["host_ip"] for port in service.get("ports", [])] for name, service in either.items()}
-    assert ports == {name: ["127.0.0.1"] if name == "router" else [] for name in BUS}
+    assert ports == {name: ["127.0.0.1"] if name in ("router", "page") else [] for name in BUS}
 
 
 def test_every_container_is_confined(either: Services) -> None:
@@ -86,7 +88,7 @@ def test_shared_memory_is_one_for_all_that_use_the_bus() -> None:
 
 def test_plain_router_is_open_on_purpose_and_the_secure_one_is_not() -> None:
     assert "--insecure-bind" in services(BASE)["router"]["command"]
-    assert "--insecure-bind" not in json.dumps(services(BASE, SECURE))
+    assert "--insecure-bind" not in services(BASE, SECURE)["router"]["command"]
 
 
 def test_secure_bus_is_tls_alone_and_everybody_has_only_what_is_his() -> None:
@@ -94,7 +96,7 @@ def test_secure_bus_is_tls_alone_and_everybody_has_only_what_is_his() -> None:
     assert "tcp/" not in json.dumps(secure)
     for name in BUS:
         (own,) = secure[name]["volumes"]
-        assert own["source"] == str(ROOT / "certs" / name)
+        assert own["source"] == str(ROOT / "certs" / ("operator" if name == "page" else name))
         assert (own["target"], own["read_only"]) == ("/etc/armsight", True)
         assert secure[name]["environment"]["ARMSIGHT_ZENOH_CONFIG"] == f"/etc/armsight/{CONFIGURATION}"
     assert {secure[name]["environment"]["ARMSIGHT_CONNECT"] for name in BUS[1:]} == {"tls/router:7447"}
@@ -119,10 +121,10 @@ def test_certificates_that_compose_makes_are_those_that_it_mounts(tmp_path: Path
         main(command[1:])
     assert not ended.value.code
     folder = Folder(tmp_path)
-    assert set(folder.names()) == {*BUS, "recorder"}
+    assert set(folder.names()) == {*BEARERS, "recorder"}
     router = next(entry for entry in folder.entries() if entry.name == "router")
     assert {"router", "127.0.0.1"} <= set(router.hosts)  # as services and as its own health check call it
-    for name in BUS[1:]:
+    for name in BEARERS[1:]:
         text = (tmp_path / name / CONFIGURATION).read_text(encoding="utf-8")
         assert '"namespace": "robots/left"' in text
         assert "tls/router:7447" in text
@@ -149,7 +151,7 @@ def test_two_machines_have_each_service_once_and_a_router_each() -> None:
     edge = services(BASE, SECURE, EDGE, ARMSIGHT_CENTER="center.local", ARMSIGHT_CENTER_PORT="17447")
     center = services(BASE, SECURE, CENTER, ARMSIGHT_BIND="10.0.0.7")
     assert set(edge) == {"router", "sim", "vision"}
-    assert set(center) == {"router", "control", "operator"}
+    assert set(center) == {"router", "control", "operator", "page"}
     assert edge["router"]["command"][-1] == "--connect=tls/center.local:17447"
     assert not [word for word in center["router"]["command"] if word.startswith("--connect")]
     # the robot's machine is reached by nobody, the other at the address that was said

@@ -57,14 +57,14 @@ def snake(name: str) -> str:
 
 
 def is_one_of(role: str, who: tuple[str, ...]) -> bool:
-    return role in who or ("each" in who and role in EACH)
+    return role in {entry.partition("/")[0] for entry in who} or ("each" in who and role in EACH)
 
 
 def uses_in_table(role: str) -> Uses:
     return {
         "publisher": {topic.name for topic in TOPICS if is_one_of(role, topic.publishers)},
         "subscriber": {topic.name for topic in TOPICS if is_one_of(role, topic.readers)},
-        "serve": {query.name for query in QUERIES if is_one_of(role, (query.server,))},
+        "serve": {query.name for query in QUERIES if is_one_of(role, query.servers)},
         "query": {query.name for query in QUERIES if is_one_of(role, query.callers)},
         "presence": {topic.name for topic in TOPICS if is_one_of(role, topic.watchers)},
     }
@@ -114,5 +114,5 @@ def test_viewer_reads_what_operator_reads_and_changes_nothing_but_a_stop() -> No
 
 @pytest.mark.parametrize("row", [*TOPICS, *QUERIES], ids=lambda row: row.name)
 def test_every_row_says_who(row: Any) -> None:
-    who = (row.publishers, row.readers) if isinstance(row, topics.Topic) else ((row.server,), row.callers)
+    who = (row.publishers, row.readers) if isinstance(row, topics.Topic) else (row.servers, row.callers)
     assert all(who), f"{row.name} names nobody on one of its sides: nothing would pass"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Every test that fits into minutes. Those that need a Docker daemon are left out, and said to be, where there is none;
-# with ARMSIGHT_CI set they must run.
+# Every test that fits into minutes. Those that need a Docker daemon or Chromium are left out, and said to be, where there
+# is none; with ARMSIGHT_CI set they must run.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 bin=$PWD/.venv/bin
@@ -22,7 +22,16 @@ check "vision fuzzed" tools/fuzz.sh 20
 for package in proto services/sim services/control services/operator; do
     check "$package" "$bin/pytest" -q -m "not long" "$package/tests"
 done
-check "integration" "$bin/pytest" -q -m "not long and not docker" tests
+check "integration" "$bin/pytest" -q -m "not long and not docker and not browser" tests
+if [ -n "${ARMSIGHT_CI:-}" ]; then
+    check "install a browser" tools/install-apt-packages.sh tools/apt-packages-browser.txt
+fi
+if command -v chromium >/dev/null || [ -n "${ARMSIGHT_CI:-}" ]; then
+    check "browser" "$bin/pytest" -q -m "browser and not long" tests
+else
+    echo "test: left out what needs Chromium (tests marked browser): tools/install-apt-packages.sh" \
+        "tools/apt-packages-browser.txt installs it"
+fi
 if docker info >/dev/null 2>&1 || [ -n "${ARMSIGHT_CI:-}" ]; then
     check "docker" "$bin/pytest" -q -m "docker and not long" tests
 else

@@ -395,8 +395,9 @@ class Bus:
                 text = reply.err.payload.to_bytes().decode(errors="replace")
                 if text != "Timeout":
                     raise RefusedError(text)
+        server = name or " or ".join(query.servers)
         raise NoReplyError(
-            f"nobody answers {key} within {timeout_s:g} s: is {name or query.server} running, and may we ask it? "
+            f"nobody answers {key} within {timeout_s:g} s: is {server} running, and may we ask it? "
             "(a router with certificates lets nobody ask without the right)"
         )
 

@@ -121,6 +121,7 @@ def run_service(
     parameters: object,
     body: Callable[[Context], None],
     shared_memory: Literal["off", "read", "publish"] = "read",
+    role: str | None = None,
 ) -> int:
     """Runs a service until it ends or SIGTERM or SIGINT asks it to; returns the exit code.
 
@@ -130,6 +131,7 @@ def run_service(
         parameters: a dataclass, the configuration that it starts with, answered on ``{service}/parameters``.
         body: the service itself; returns soon after ``context.stop`` is set.
         shared_memory: see :class:`~armsight.session.SessionConfig`.
+        role: whose certificate it shows where the bus asks for one (default: its own name's).
     """
     set_up_logging(name, arguments.log_level)
     if arguments.health:
@@ -145,7 +147,7 @@ def run_service(
     signal.signal(signal.SIGINT, ask_to_stop)
     try:
         config = session_config(arguments, shared_memory)
-        check_role(config, name)
+        check_role(config, role or name)
         session = open_session(config, stop)
         if session is None:
             return 0

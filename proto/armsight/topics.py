@@ -80,7 +80,7 @@ class Query(Generic[Request, Response]):
     key: str
     request: type[Request]
     response: type[Response]
-    server: str
+    servers: tuple[str, ...]
     callers: tuple[str, ...]
 
     def key_for(self, name: str | None = None) -> str:
@@ -112,12 +112,12 @@ def _load_table() -> dict[str, dict[str, dict[str, Any]]]:
 def _who(row: dict[str, Any], column: str) -> tuple[str, ...]:
     value = row.get(column)
     names = (value,) if isinstance(value, str) else tuple(value or ())
-    if unknown := set(names) - {*WHO, "each"}:
+    if unknown := {name.partition("/")[0] for name in names} - {*WHO, "each"}:
         raise ValueError(
             f"topics.toml: {column} of {row['name']} is {sorted(unknown)}, not of {', '.join(WHO)} or each"
         )
-    if "each" in names and "{name}" not in row["key"]:
-        raise ValueError(f"topics.toml: {column} of {row['name']} is each, but its key has no {{name}}")
+    if "{name}" not in row["key"] and any(name == "each" or "/" in name for name in names):
+        raise ValueError(f"topics.toml: {column} of {row['name']} is {names}, but its key has no {{name}}")
     return names
 
 
@@ -153,7 +153,7 @@ def _query(name: str, request: type[Request], response: type[Response]) -> Query
         key=row["key"],
         request=request,
         response=response,
-        server=row["server"],
+        servers=_who(row, "server"),
         callers=_who(row, "callers"),
     )
 

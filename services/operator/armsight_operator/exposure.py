@@ -1,7 +1,8 @@
-"""Who could reach a router that listens at an endpoint, and whether they would have to prove who they are."""
+"""Who could reach what listens at an endpoint, and whether they would have to prove who they are."""
 
 import ipaddress
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from urllib.parse import urlsplit
 
 from armsight.tls import host_and_port
 from armsight_operator.errors import InsecureBindError
@@ -35,6 +36,45 @@ def check_exposure(endpoints: Sequence[str], *, mutual_tls: bool, links: Sequenc
                 f"a link to {link} has no certificates: whoever connects to the router there moves the arm here. "
                 "Link with certificates (`armsight certs make --router`, docs/deploy.md), or say --insecure-bind"
             )
+
+
+def check_page_exposure(host: str) -> None:
+    """Refuses addresses at which anybody on the network could command the arm: the page asks nobody who they are.
+
+    Raises:
+        InsecureBindError: other machines reach it.
+    """
+    if not is_local(f"tcp/{f'[{host}]' if ':' in host else host}:1"):
+        raise InsecureBindError(
+            f"a page at {host} is open to every machine that reaches this one, without certificates: whoever opens it "
+            "moves the arm. Listen on 127.0.0.1 and come by `ssh -L`, or say --insecure-bind"
+        )
+
+
+def is_own_page(host: str, origin: str | None, names: Collection[str]) -> bool:
+    """Whether a request comes from a page that we served ourselves.
+
+    Any site that a browser shows may connect to this machine, and name an address of its own for it: neither is ours.
+
+    Args:
+        host: what the browser takes us for, as HOST or HOST:PORT.
+        origin: of the page that asks; programs that are no browsers give none.
+        names: of ours, in lower case; addresses in numbers are nobody else's anyway.
+    """
+    try:
+        name = (urlsplit(f"//{host}").hostname or "").lower()
+        theirs = urlsplit(origin).netloc.lower() if origin is not None else host.lower()
+    except ValueError:
+        return False
+    return theirs == host.lower() and (name in names or _is_number(name))
+
+
+def _is_number(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def is_local(endpoint: str) -> bool:

@@ -11,9 +11,10 @@ from typing import Protocol
 from armsight import topics
 from armsight.bus import Bus, Received
 from armsight.topics import SERVICES
-from armsight.v1.control_pb2 import ControlMode, ControlState, ControlStatus
+from armsight.v1.control_pb2 import ControlState, ControlStatus
 from armsight.v1.health_pb2 import HEALTH_STATUS_OK, Health, HealthStatus
 from armsight.v1.safety_pb2 import StopState
+from armsight_operator.ask import mode_name
 
 _STALE_S = 2.5
 """Health comes once a second: two may be lost before a service counts as missing."""
@@ -53,6 +54,8 @@ class Snapshot:
     """Frames sent to command sent."""
     latency_p99_ms: float | None
     stopped_by: tuple[str, ...]
+    stop_reasons: dict[str, str] = field(default_factory=dict)
+    """What each that stopped the arm gave as its reason, by its name."""
 
     @property
     def ready(self) -> bool:
@@ -76,9 +79,24 @@ class Monitor:
         self._answers: deque[float] = deque(maxlen=_LATENCIES)
         self._latencies: deque[float] = deque(maxlen=_LATENCIES)
         self._stop: StopState | None = None
-        bus.subscriber(topics.HEALTH, "*", on_message=self._take_health)
-        bus.subscriber(topics.CONTROL_STATUS, on_message=self._take_status)
-        bus.subscriber(topics.STOP_STATE, on_message=self._take_stop)
+        self._subscribers = (
+            bus.subscriber(topics.HEALTH, "*", on_message=self._take_health),
+            bus.subscriber(topics.CONTROL_STATUS, on_message=self._take_status),
+            bus.subscriber(topics.STOP_STATE, on_message=self._take_stop),
+        )
+
+    @property
+    def status(self) -> ControlStatus | None:
+        """Control's last word; nothing while it is silent."""
+        with self._lock:
+            status = self._status
+        fresh = status is not None and time.monotonic() - status.received_s < _STALE_S
+        return status.message if fresh and status is not None else None
+
+    def close(self) -> None:
+        """Stops listening."""
+        for subscriber in self._subscribers:
+            subscriber.close()
 
     def snapshot(self) -> Snapshot:
         """What is known now."""
@@ -92,11 +110,11 @@ class Monitor:
             status = self._status.message if fresh and self._status is not None else ControlStatus()
             recent = [at for at in self._answers if now - at < _RATE_WINDOW_S]
             latencies = sorted(self._latencies) if fresh else []
-            sources = [] if self._stop is None else [s.name for s in self._stop.sources if s.stopped]
+            stops = {} if self._stop is None else {s.name: s.reason for s in self._stop.sources if s.stopped}
         has_pose = bool(status.joints) and status.HasField("tip")
         return Snapshot(
             services=services,
-            mode=word(ControlMode, status.mode, "CONTROL_MODE_").replace("_", "-") if fresh else "",
+            mode=mode_name(status.mode) if fresh else "",
             state=word(ControlState, status.state, "CONTROL_STATE_") if fresh else "",
             detail=status.detail,
             joints={joint.name: joint.position_rad for joint in status.joints},
@@ -105,7 +123,8 @@ class Monitor:
             rate_hz=len(recent) / _RATE_WINDOW_S,
             latency_p50_ms=_percentile(latencies, 0.50),
             latency_p99_ms=_percentile(latencies, 0.99),
-            stopped_by=tuple(sources),
+            stopped_by=tuple(stops),
+            stop_reasons=stops,
         )
 
     def _take_health(self, received: Received[Health]) -> None:

@@ -56,20 +56,22 @@ def places(secure: SecureBus) -> Iterator[Callable[[str], Bus]]:
 
 def names(who: tuple[str, ...]) -> set[str]:
     """The roles that a column of the table stands for."""
-    return set(who) - {"each"} | (set(EACH) if "each" in who else set())
+    return {entry.partition("/")[0] for entry in who} - {"each"} | (set(EACH) if "each" in who else set())
 
 
 def a_name(key: str, who: tuple[str, ...], role: str) -> str | None:
-    """Something for {name}: one's own where the column says each."""
+    """Something for {name}: one's own where the column says each, the given one where it says role/name."""
     if "{name}" not in key:
         return None
-    return (
-        role
-        if "each" in who and role in EACH
-        else "vision"
-        if key.startswith(("health", "parameters", "{name}"))
-        else "1"
-    )
+    if given := [entry.partition("/")[2] for entry in who if entry.startswith(f"{role}/")]:
+        return given[0]
+    if "each" in who and role in EACH:
+        return role
+    return "vision" if key.startswith(("health", "parameters", "{name}")) else "1"
+
+
+def own_name(role: str, who: tuple[str, ...]) -> str:
+    return "*" if role in who else a_name("{name}", who, role) or ""
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:
@@ -138,7 +140,7 @@ def test_only_readers_of_a_topic_hear_it(places: Callable[[str], Bus], topic: To
 
 @pytest.mark.parametrize("topic", LATCHED, ids=lambda topic: topic.name)
 def test_late_readers_of_a_latched_topic_get_its_last_value(places: Callable[[str], Bus], topic: Topic[Any]) -> None:
-    (who,) = topic.publishers
+    who = topic.publishers[0]
     publisher = "vision" if who == "each" else who
     wild = "*" if "{name}" in topic.key else None
     name = ("vision" if who == "each" else "1") if wild else None
@@ -175,7 +177,7 @@ def test_latched_value_put_while_the_router_is_away_reaches_its_readers(tmp_path
 
 @pytest.mark.parametrize("query", QUERIES, ids=lambda query: query.name)
 def test_only_callers_of_a_query_are_answered(places: Callable[[str], Bus], query: Query[Any, Any]) -> None:
-    server = "vision" if query.server == "each" else query.server
+    server = "vision" if "each" in query.servers else query.servers[0]
     name = server if "{name}" in query.key else None
     asked: list[int] = []
 
@@ -200,7 +202,7 @@ def test_only_callers_of_a_query_are_answered(places: Callable[[str], Bus], quer
 
 @pytest.mark.parametrize("query", QUERIES, ids=lambda query: query.name)
 def test_only_the_server_of_a_query_can_answer_it(places: Callable[[str], Bus], query: Query[Any, Any]) -> None:
-    server = "vision" if query.server == "each" else query.server
+    server = "vision" if "each" in query.servers else query.servers[0]
     name = server if "{name}" in query.key else None
     caller = places("operator")
     for role in WHO:
@@ -387,7 +389,7 @@ def test_configuration_grants_what_the_table_grants_and_denies_the_rest() -> Non
     }
     puts = {(role, key) for role, flow, message, key in granted if (flow, message) == ("ingress", "put")}
     assert puts == {
-        (role, f"{DEFAULT_NAMESPACE}/{topic.key.replace('{name}', role if 'each' in topic.publishers else '*')}")
+        (role, f"{DEFAULT_NAMESPACE}/{topic.key.replace('{name}', own_name(role, topic.publishers))}")
         for topic in TOPICS
         for role in names(topic.publishers)
     }
@@ -404,6 +406,18 @@ def test_configuration_grants_what_the_table_grants_and_denies_the_rest() -> Non
     assert {subject["id"]: subject["cert_common_names"] for subject in control["subjects"]} == {
         role: [role] for role in WHO
     }
+
+
+def test_operator_has_the_health_of_its_page_and_of_nobody_else() -> None:
+    operator = rights("operator", ["robots/a"])
+    for right in ("put", "liveliness_token"):
+        assert [key for key in operator["ingress", right] if "health" in key] == ["robots/a/health/page"]
+    assert operator["ingress", "declare_queryable"] == (
+        "robots/a/page/parameters",
+        "robots/a/page/parameters/set",
+        "robots/a/parameters/page/@adv/pub/**",
+    )
+    assert not [key for keys in rights("viewer", ["robots/a"]).values() for key in keys if "page" in key]
 
 
 def test_a_topic_that_is_added_brings_its_rights() -> None:

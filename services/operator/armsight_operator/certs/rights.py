@@ -51,8 +51,7 @@ def rights(
 
 def _of_topic(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
     latched = topic.delivery == "latched"
-    if _is_one_of(role, topic.publishers):
-        key = _key(role, topic.key, topic.publishers)
+    for key in _keys(role, topic.key, topic.publishers):
         yield "ingress", "put", key
         # subscriptions as they were declared, wildcards and all: without hearing of one, a publisher sends nothing
         yield "egress", "declare_subscriber", _any_name(topic.key)
@@ -63,8 +62,7 @@ def _of_topic(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
             yield "ingress", "declare_queryable", f"{key}/{_OF_LATCHED}"
             yield "egress", "query", f"{_any_name(topic.key)}/{_ASKED_OF_LATCHED}"
             yield "ingress", "reply", key
-    if _is_one_of(role, topic.readers):
-        key = _key(role, topic.key, topic.readers)
+    for key in _keys(role, topic.key, topic.readers):
         yield "ingress", "declare_subscriber", key
         yield "egress", "put", key
         if latched:
@@ -72,42 +70,39 @@ def _of_topic(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
             yield "egress", "liveliness_token", f"{key}/{_OF_LATCHED}"
             yield "ingress", "query", f"{key}/{_ASKED_OF_LATCHED}"
             yield "egress", "reply", key
-    if _is_one_of(role, topic.watchers):
-        key = _key(role, topic.key, topic.watchers)
+    for key in _keys(role, topic.key, topic.watchers):
         yield "ingress", "declare_liveliness_subscriber", key
         yield "egress", "liveliness_token", key
 
 
 def _of_query(role: str, query: Query[Any, Any]) -> Iterator[tuple[Flow, str, str]]:
-    if _is_one_of(role, (query.server,)):
-        key = _key(role, query.key, (query.server,))
+    for key in _keys(role, query.key, query.servers):
         yield "ingress", "declare_queryable", key
         yield "egress", "query", key
         yield "ingress", "reply", key
-    if _is_one_of(role, query.callers):
-        key = _key(role, query.key, query.callers)
+    for key in _keys(role, query.key, query.callers):
         yield "ingress", "query", key
         yield "egress", "reply", key
 
 
 def _of_topic_behind_router(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
     """What a router needs to know to ask for its clients; these know no more than before."""
-    if topic.delivery == "latched" and _is_one_of(role, topic.readers):
+    if topic.delivery == "latched" and _keys(role, topic.key, topic.readers):
         yield "egress", "declare_queryable", f"{_any_name(topic.key)}/{_OF_LATCHED}"
 
 
 def _of_query_behind_router(role: str, query: Query[Any, Any]) -> Iterator[tuple[Flow, str, str]]:
-    if _is_one_of(role, query.callers):
-        yield "egress", "declare_queryable", _key(role, query.key, query.callers)
+    for key in _keys(role, query.key, query.callers):
+        yield "egress", "declare_queryable", key
 
 
-def _is_one_of(role: str, who: tuple[str, ...]) -> bool:
-    return role in who or ("each" in who and role in EACH)
-
-
-def _key(role: str, key: str, who: tuple[str, ...]) -> str:
-    """Somebody who is named may use every name; one of "each" only its own."""
-    return _any_name(key) if role in who else key.replace("{name}", role)
+def _keys(role: str, key: str, who: tuple[str, ...]) -> tuple[str, ...]:
+    """Somebody who is named may use every name; one of "each" only its own, "operator/page" only page."""
+    if role in who:
+        return (_any_name(key),)
+    own = (role,) if "each" in who and role in EACH else ()
+    given = tuple(entry.removeprefix(f"{role}/") for entry in who if entry.startswith(f"{role}/"))
+    return tuple(key.replace("{name}", name) for name in own + given)
 
 
 def _any_name(key: str) -> str:

@@ -44,7 +44,11 @@ INTERRUPTED = 130
 NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
 
 _LATER = {
-    "report": ("armsight_operator.report.command", "Measure the whole pipeline against the truth: tables, plots.")
+    "page": (
+        "armsight_operator.page.command",
+        "Serve the live web page: the arm in 3D, pictures, plots, a stop button.",
+    ),
+    "report": ("armsight_operator.report.command", "Measure the whole pipeline against the truth: tables, plots."),
 }
 """Commands whose module is only imported when they run: its function has the command's name."""
 

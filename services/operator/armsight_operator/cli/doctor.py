@@ -8,11 +8,12 @@ import typer
 
 from armsight_operator.cli import metrics
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
+from armsight_operator.page.command import DEFAULT_PORT
 
 if TYPE_CHECKING:
     from armsight_operator.doctor import Finding
 
-PORTS = {metrics.PORT: "armsight metrics"}
+PORTS = {DEFAULT_PORT: "armsight page", metrics.PORT: "armsight metrics"}
 """Where commands serve unless they are told otherwise."""
 
 _STYLES = {"ok": "green", "info": "blue", "warning": "yellow", "broken": "bold red"}

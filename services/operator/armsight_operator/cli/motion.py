@@ -1,6 +1,5 @@
 """`armsight move`, `target`, `mode`, `reset`: what the arm should do."""
 
-import math
 import time
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,12 +7,10 @@ import typer
 
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
 from armsight_operator.errors import NoDataError, OperatorError
+from armsight_operator.modes import MODES
 
 if TYPE_CHECKING:
     from armsight.bus import Bus
-    from armsight.v1.joints_pb2 import JointSetpoint
-
-MODES = ("hold", "joints", "test-1", "test-2", "test-all", "track", "follow")
 
 _ANSWER_S = 5.0
 
@@ -29,13 +26,11 @@ def move(
 
     Example: armsight move 0.5 0 0.8 -0.4
     """
-    from armsight import topics
-    from armsight.v1.control_pb2 import CONTROL_MODE_JOINTS, SetModeRequest
+    from armsight_operator.ask import ask_joints
     from armsight_operator.cli.bus import configuration, connected
 
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
-        joints = _setpoints(bus, angles)
-        bus.query(topics.MODE, SetModeRequest(mode=CONTROL_MODE_JOINTS, joints=joints), timeout_s=_ANSWER_S)
+        ask_joints(bus, _named(bus, angles))
         if wait > 0 and not _arrives(bus, angles, wait):
             raise OperatorError(f"the arm is not at {_text(angles)} within {wait:g} s: see `armsight status`")
     print(f"{'moved' if wait > 0 else 'moving'} to {_text(angles)} rad")
@@ -55,30 +50,21 @@ def target(
 
     Example: armsight target 3.0 1.0 7.0
     """
-    from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
-
     from armsight import topics
-    from armsight.errors import ConfigError
-    from armsight.times import to_timestamp, wall_ns
-    from armsight.v1.control_pb2 import CONTROL_MODE_TRACK, SetModeRequest
+    from armsight_operator.ask import TARGET_PERIOD_S, ask_mode, target_message
     from armsight_operator.cli.bus import configuration, connected
 
-    if frame not in ("base", "world"):
-        raise ConfigError(f"--frame {frame!r} is neither base nor world")
-    if not all(math.isfinite(value) for value in (x, y, z)):
-        raise ConfigError("a target needs three finite numbers")
+    target_message(x, y, z, frame)  # what can't be used is refused before anything is asked
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
-        bus.query(topics.MODE, SetModeRequest(mode=CONTROL_MODE_TRACK), timeout_s=_ANSWER_S)
+        ask_mode(bus, "track")
         publisher = bus.publisher(topics.TARGET)
         print(f"target ({x:g}, {y:g}, {z:g}) m in the {frame} frame", flush=True)
         until = time.monotonic() + seconds
         while True:
-            message = Point3InFrame(timestamp=to_timestamp(wall_ns()), frame_id=frame)
-            message.point.x, message.point.y, message.point.z = x, y, z
-            publisher.put(message)
+            publisher.put(target_message(x, y, z, frame))
             if seconds > 0 and time.monotonic() >= until:
                 break
-            time.sleep(0.1)
+            time.sleep(TARGET_PERIOD_S)
 
 
 def mode(
@@ -92,21 +78,11 @@ def mode(
 
     Example: armsight mode test-1
     """
-    from armsight import topics
-    from armsight.errors import ConfigError
-    from armsight.v1.control_pb2 import ControlMode, SetModeRequest
+    from armsight_operator.ask import ask_mode
     from armsight_operator.cli.bus import configuration, connected
 
-    if name is not None and name not in MODES:
-        raise ConfigError(f"no mode {name!r}; there are {', '.join(MODES)}")
-    if name == "joints":
-        raise ConfigError("mode joints needs angles: use `armsight move`")
-    request = SetModeRequest()
-    if name is not None:
-        request = SetModeRequest(mode=f"CONTROL_MODE_{name.upper().replace('-', '_')}", start_s=start)
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
-        answer = bus.query(topics.MODE, request, timeout_s=_ANSWER_S)
-    print(ControlMode.Name(answer.mode).removeprefix("CONTROL_MODE_").lower().replace("_", "-"))
+        print(ask_mode(bus, name, start))
 
 
 def reset(
@@ -121,18 +97,18 @@ def reset(
     """
     from armsight import topics
     from armsight.v1.sim_pb2 import ResetRequest
+    from armsight_operator.ask import setpoints
     from armsight_operator.cli.bus import configuration, connected
 
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
-        joints = _setpoints(bus, angles) if angles else []
+        joints = setpoints(_named(bus, angles)) if angles else []
         bus.query(topics.RESET, ResetRequest(joints=joints), timeout_s=_ANSWER_S)
     print(f"reset to {_text(angles) if angles else 'zero'}")
 
 
-def _setpoints(bus: "Bus", angles: list[float]) -> "list[JointSetpoint]":
+def _named(bus: "Bus", angles: list[float]) -> dict[str, float]:
     from armsight import topics
     from armsight.errors import ConfigError
-    from armsight.v1.joints_pb2 import JointSetpoint
 
     received = bus.subscriber(topics.DESCRIPTION).recv(_ANSWER_S)
     if received is None:
@@ -140,7 +116,7 @@ def _setpoints(bus: "Bus", angles: list[float]) -> "list[JointSetpoint]":
     names = [joint.name for joint in received.message.joints]
     if len(angles) != len(names):
         raise ConfigError(f"{len(angles)} angles given; this arm has {len(names)} joints: {', '.join(names)}")
-    return [JointSetpoint(name=name, position_rad=angle) for name, angle in zip(names, angles, strict=True)]
+    return dict(zip(names, angles, strict=True))
 
 
 def _arrives(bus: "Bus", angles: list[float], timeout_s: float) -> bool:

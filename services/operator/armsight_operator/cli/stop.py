@@ -23,13 +23,12 @@ def stop(
 
     Example: armsight stop --reason "somebody is in the way"
     """
-    from armsight import topics
-    from armsight.v1.safety_pb2 import STOP_ACTION_STOP, StopRequest
+    from armsight_operator.ask import ask_stop
     from armsight_operator.cli.bus import configuration, connected
 
     name = source or _default_source()
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
-        bus.query(topics.STOP, StopRequest(action=STOP_ACTION_STOP, source=name, reason=reason))
+        ask_stop(bus, name, reason)
     print(f"stopped by {name}: `armsight release` lets it move again")
 
 
@@ -43,14 +42,12 @@ def release(
 
     Example: armsight release --source door
     """
-    from armsight import topics
-    from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, StopRequest
+    from armsight_operator.ask import ask_release, stopped_by
     from armsight_operator.cli.bus import configuration, connected
 
     name = source or _default_source()
     with connected(configuration(connect, namespace, zenoh_config)) as bus:
-        answer = bus.query(topics.RELEASE, StopRequest(action=STOP_ACTION_RELEASE, source=name))
-    others = [other.name for other in answer.state.sources if other.stopped]
+        others = stopped_by(ask_release(bus, name))
     print(f"still stopped by {', '.join(others)}: release each with --source" if others else "released")
 
 

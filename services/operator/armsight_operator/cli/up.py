@@ -39,9 +39,19 @@ def up(
             show_default=False,
         ),
     ] = None,
+    page: Annotated[bool, typer.Option(help="Serve the live web page.")] = True,
+    page_port: Annotated[
+        int | None,
+        typer.Option(
+            help="Of the page, on this machine only. [default: the router's and 1]",
+            min=1,
+            max=65535,
+            show_default=False,
+        ),
+    ] = None,
     restart: Annotated[bool, typer.Option(help="Start a service again that died.")] = True,
 ) -> None:
-    """Run the full stack on this machine: router, sim, vision and control. Ctrl-C stops all of it.
+    """Run the full stack on this machine: router, sim, vision, control and a live web page. Ctrl-C stops all of it.
 
     Example: armsight up --target visible --mode follow
     """
@@ -49,7 +59,9 @@ def up(
 
     stop = stop_on_signals()
     began = time.monotonic()
-    extra = {"target": target, "clock": clock, "samples": samples, "mode": mode}
+    extra: dict[str, object] = {"target": target, "clock": clock, "samples": samples, "mode": mode}
+    beside = port + 1 if port < 65535 else port - 1
+    extra["page_port"] = (page_port or beside) if page else None
     with Stack(out=out, port=port, namespace=namespace, certificates=certificates, **extra) as stack:  # type: ignore[arg-type]
         stack.start_all()
         print(
@@ -63,6 +75,7 @@ def _watch(stack: "Stack", supervisor: "Supervisor", stop: threading.Event, bega
     from armsight.session import SessionConfig
     from armsight_operator.cli.bus import wait_connected
     from armsight_operator.monitor import Monitor
+    from armsight_operator.stack import PAGE
 
     config = SessionConfig(
         endpoints=(stack.endpoint,),
@@ -80,18 +93,23 @@ def _watch(stack: "Stack", supervisor: "Supervisor", stop: threading.Event, bega
         while not stop.wait(_POLL_S):
             for death in supervisor.poll():
                 line.print(f"armsight: {death}")
-                if death.hopeless:
+                if death.hopeless and death.name != PAGE:  # the arm does without
                     raise OperatorError(f"{death.name} can't use its configuration: {death.last_line}")
             snapshot = monitor.snapshot()
             if ready_s is None and snapshot.ready:
                 ready_s = time.monotonic() - began
-                line.print(f"ready after {ready_s:.1f} s; what the cameras see: {picture}")
+                line.print(f"ready after {ready_s:.1f} s; {_where_to_look(stack, picture)}")
                 painter.start()
             line.update(snapshot)
         line.end()
         if ready_s is not None:
             painter.join(timeout=1.0)
     print("armsight stopped", flush=True)
+
+
+def _where_to_look(stack: "Stack", picture: Path) -> str:
+    seen = f"what the cameras see: {picture}"
+    return seen if stack.page_port is None else f"look and steer at http://127.0.0.1:{stack.page_port}; {seen}"
 
 
 def _paint(bus: "Bus", monitor: "Monitor", picture: Path, stop: threading.Event) -> None:

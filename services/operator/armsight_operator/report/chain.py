@@ -1,4 +1,4 @@
-"""Kinematics of the described arm, written for this report alone: the judge shares no code with what it judges."""
+"""Kinematics of the described arm, for the report and the page: the judge shares no code with what it judges."""
 
 from dataclasses import dataclass
 

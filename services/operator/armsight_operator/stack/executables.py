@@ -10,7 +10,7 @@ from armsight_operator.errors import MissingExecutableError
 
 VISION_VARIABLE = "ARMSIGHT_VISION"
 
-_SCRIPTS = {"router": "armsight", "sim": "armsight-sim", "control": "armsight-control"}
+_SCRIPTS = {"router": "armsight", "page": "armsight", "sim": "armsight-sim", "control": "armsight-control"}
 
 
 def repository_root() -> Path:
@@ -27,7 +27,7 @@ def find_executable(
     """The executable of a service.
 
     Args:
-        name: ``router``, ``sim``, ``vision`` or ``control``.
+        name: ``router``, ``sim``, ``vision``, ``control`` or ``page``.
         environment: its ``ARMSIGHT_VISION`` wins over the built one.
         scripts: folder of the console scripts (default: beside this Python).
         root: folder of the repository (default: where this package is).

@@ -19,6 +19,9 @@ from armsight_operator.stack.process import Process
 
 NAMES = ("router", *SERVICES)
 
+PAGE = "page"
+"""Runs beside them where it is asked for."""
+
 STOP_TIMEOUT_S = 2.0
 """A process that is not gone this long after SIGTERM is killed."""
 
@@ -38,6 +41,7 @@ class Stack:
         out: folder for the logs (default: a new temporary one, left to whoever wants to read them).
         port: of the router on the loopback interface; 0 takes a free one.
         namespace: the robot's name on the bus.
+        page_port: of the web page on the loopback interface; 0 takes a free one (default: there is no page).
         certificates: folder that `armsight certs make` made: everything goes over mutual TLS, each with its own rights
             (default: plain TCP, without rights).
         extra: further flags by service.
@@ -55,12 +59,16 @@ class Stack:
         out: Path | None = None,
         port: int = 0,
         namespace: str = DEFAULT_NAMESPACE,
+        page_port: int | None = None,
         certificates: Path | None = None,
         extra: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         """Chooses the port and makes the folder."""
         self.port = port or free_port()
         self.namespace = namespace
+        self.page_port = page_port if page_port != 0 else free_port()
+        self.names = NAMES if page_port is None else (*NAMES, PAGE)
+        """Of all processes, in the order in which they are started."""
         self._certificates = certificates
         out = Path(tempfile.mkdtemp(prefix="armsight-")) if out is None else out
         self.log_folder = out / "logs"
@@ -72,20 +80,21 @@ class Stack:
             ],
             "vision": [],
             "control": ["--mode", mode],
+            PAGE: ["page", "--port", str(self.page_port)],
         }
         for name, flags in (extra or {}).items():
-            self._arguments[_known(name)] += flags
-        for name in SERVICES:
+            self._arguments[self._known(name)] += flags
+        for name in self.names[1:]:
             self._arguments[name] += ["--connect", self.endpoint, "--namespace", namespace]
-        for name in NAMES:
-            if file := self.zenoh_config(name):
+        for name in self.names:
+            if file := self.zenoh_config("operator" if name == PAGE else name):
                 self._arguments[name] += ["--zenoh-config", str(file)]
         self._processes: dict[str, Process] = {}
         # Processes die with the thread that started them: this one ends in close().
         self._starter = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stack")
         try:
             self.log_folder.mkdir(parents=True, exist_ok=True)
-            for name in NAMES:
+            for name in self.names:
                 self.log_file(name).write_bytes(b"")
         except OSError as error:
             raise OperatorError(f"can't write logs to {self.log_folder}: {error.strerror}") from error
@@ -110,7 +119,7 @@ class Stack:
 
     def log_file(self, name: str) -> Path:
         """Everything that a process wrote, over all of its lives."""
-        return self.log_folder / f"{_known(name)}.log"
+        return self.log_folder / f"{self._known(name)}.log"
 
     def command(self, name: str) -> list[str]:
         """The command line of a process.
@@ -118,44 +127,46 @@ class Stack:
         Raises:
             MissingExecutableError: it is not installed.
         """
-        return [str(find_executable(_known(name))), *self._arguments[name]]
+        return [str(find_executable(self._known(name))), *self._arguments[name]]
 
     def start(self, name: str) -> None:
         """Starts a process and returns at once; one that runs is left alone.
 
         Raises:
             MissingExecutableError: it is not installed.
-            PortInUseError: somebody else listens on the router's port.
+            PortInUseError: somebody else listens on the router's port, or on the page's.
         """
         if self.running(name):
             return
         command = self.command(name)
         if name == "router":
             check_port_free(self.port)
+        elif name == PAGE and self.page_port is not None:
+            check_port_free(self.page_port, "the page's port", "does another one run? Choose another --page-port")
         try:
             self._processes[name] = self._starter.submit(Process, command, self.log_file(name)).result()
         except OSError as error:
             raise OperatorError(f"can't start {name}, {command[0]}: {error.strerror}") from error
 
     def start_all(self) -> None:
-        """Starts the router and every service; what is missing is said before anything runs."""
-        for name in NAMES:
+        """Starts the router, every service and the page; what is missing is said before anything runs."""
+        for name in self.names:
             self.command(name)
-        for name in NAMES:
+        for name in self.names:
             self.start(name)
 
     def running(self, name: str) -> bool:
         """Whether a process was started and has not ended."""
-        process = self._processes.get(_known(name))
+        process = self._processes.get(self._known(name))
         return process is not None and process.poll() is None
 
     def process(self, name: str) -> Process | None:
         """The present or last life of a process."""
-        return self._processes.get(_known(name))
+        return self._processes.get(self._known(name))
 
     def kill(self, name: str, number: int = signal.SIGKILL) -> None:
         """Sends a signal and waits until the process is gone, at most until it is killed for not ending."""
-        process = self._processes.get(_known(name))
+        process = self._processes.get(self._known(name))
         if process is None:
             raise OperatorError(f"{name} was never started")
         process.send(number)
@@ -175,7 +186,7 @@ class Stack:
 
     def close(self) -> None:
         """Ends everything: the services, then the router they still talk over. Never takes longer than two timeouts."""
-        self.stop(SERVICES, timeout_s=0.75 * STOP_TIMEOUT_S)
+        self.stop(self.names[1:], timeout_s=0.75 * STOP_TIMEOUT_S)
         self.stop(("router",), timeout_s=0.2 * STOP_TIMEOUT_S)
         self._starter.shutdown()
 
@@ -187,6 +198,11 @@ class Stack:
     ) -> None:
         self.close()
 
+    def _known(self, name: str) -> str:
+        if name not in self.names:
+            raise OperatorError(f"no process {name!r}; there are {', '.join(self.names)}")
+        return name
+
 
 def free_port() -> int:
     """A port of the loopback interface that nobody listens on now."""
@@ -195,8 +211,17 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def check_port_free(port: int) -> None:
-    """Whether a router can listen there.
+def check_port_free(
+    port: int,
+    what: str = "port",
+    then: str = "does another `armsight up` or router run? Stop it, or choose another port with --port",
+) -> None:
+    """Whether a server of ours can listen there.
+
+    Args:
+        port: of the loopback interface.
+        what: what it is called in the error.
+        then: what to do about it.
 
     Raises:
         PortInUseError: it can't, and what to do.
@@ -207,13 +232,4 @@ def check_port_free(port: int) -> None:
         try:
             probe.bind((_HOST, port))
         except OSError as error:
-            raise PortInUseError(
-                f"port {port} can't be used ({error.strerror}): does another `armsight up` or router run? "
-                "Stop it, or choose another port with --port"
-            ) from error
-
-
-def _known(name: str) -> str:
-    if name not in NAMES:
-        raise OperatorError(f"no process {name!r}; there are {', '.join(NAMES)}")
-    return name
+            raise PortInUseError(f"{what} {port} can't be used ({error.strerror}): {then}") from error

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from armsight.service import EXIT_CONFIG
 from armsight_operator.errors import OperatorError
 from armsight_operator.stack.backoff import Backoff
-from armsight_operator.stack.stack import NAMES, Stack
+from armsight_operator.stack.stack import Stack
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Supervisor:
         for name in [name for name, due in self._due.items() if self._clock() >= due]:
             del self._due[name]
             self._start(name)
-        return [death for name in NAMES if (death := self._death(name)) is not None]
+        return [death for name in self._stack.names if (death := self._death(name)) is not None]
 
     def _start(self, name: str) -> None:
         try:
