@@ -11,15 +11,18 @@ import pytest
 from test_cli import Command, command, saying
 
 from armsight import topics
-from armsight.bus import Bus
+from armsight.bus import Bus, Sample
 from armsight.times import to_timestamp
 from armsight.v1.control_pb2 import ControlStatus
 from armsight.v1.joints_pb2 import JointCommand, JointPositions, StageTimes
 from armsight.v1.sim_pb2 import Clock
 from armsight_operator.cli.app import main
-from armsight_operator.trace import STAGES, TOTAL, Frame, Joiner, Statistics
+from armsight_operator.recording.backlog import Arrival
+from armsight_operator.recording.series import Limits, Series
+from armsight_operator.trace import KEYS, STAGES, TOTAL, Frame, Joiner, Statistics
 from armsight_operator.trace.chrome import chrome_trace
 from armsight_operator.trace.show import bar, frame_as_json, frame_as_line, picture, summary_as_dict, summary_as_line
+from recorded import record
 
 __all__ = ["command"]
 
@@ -204,6 +207,48 @@ def test_the_command_ends_after_so_many_frames(command: Command, make_bus: Calla
     spans = [event for event in json.loads(file.read_text())["traceEvents"] if event["ph"] == "X"]
     assert len(spans) >= 5 * 4
     assert summary_as_dict(Statistics())["frames"] == 0
+
+
+def record_trace(path: Path, frames: int) -> None:
+    series = Series(path, Limits(), {})
+    for number in range(1, frames + 1):
+        for message, heard_ns in messages(number, number * 33 * MS):
+            topic = next(topic for topic in KEYS if topic.message is type(message))
+            sample = Sample(topic, "", message.SerializeToString(), b"")  # type: ignore[attr-defined]
+            series.write(Arrival(sample, heard_ns, number))
+    series.finish("asked to stop", {})
+
+
+def trace_of(*words: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["trace", *words])
+    return int(ended.value.code or 0)
+
+
+def test_a_recording_tells_the_same_as_the_bus_did(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file, events = tmp_path / "run.mcap", tmp_path / "frames.json"
+    record_trace(file, 20)
+    assert trace_of("--from", str(file), "--json", "--chrome", str(events)) == 0
+    *frames, last = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [frame["capture_time_ns"] for frame in frames] == list(range(1, 21))
+    assert all(frame["ms"] == EXPECTED_MS for frame in frames)
+    assert last["summary"]["frames"] == 20
+    assert sum(event["ph"] == "X" for event in json.loads(events.read_text())["traceEvents"]) == 20 * 6
+    assert trace_of("--from", str(file), "--frames", "3", "--json") == 0
+    assert len(capsys.readouterr().out.splitlines()) == 4
+
+
+def test_a_recording_that_breaks_off_tells_what_it_has(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    record(file)  # of a run without control
+    assert trace_of("--from", str(file)) == 1
+    assert "no frame that was answered" in capsys.readouterr().err
+    record_trace(tmp_path / "other.mcap", 20)
+    (tmp_path / "other.mcap").write_bytes((tmp_path / "other.mcap").read_bytes()[:-100])
+    assert trace_of("--from", str(tmp_path / "other.mcap")) == 0
+    said = capsys.readouterr()
+    assert said.out.splitlines()[-1].startswith("20 frames")
+    assert "other.mcap: " in said.err
 
 
 def test_sigterm_ends_it_with_what_was_seen(endpoint: str, make_bus: Callable[[], Bus]) -> None:

@@ -37,6 +37,12 @@ def trace(
             show_default=False,
         ),
     ] = None,
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--from", metavar="FILE", help="Read a recording instead; may be given again.", show_default=False
+        ),
+    ] = None,
     connect: Connect = None,
     namespace: Namespace = None,
     zenoh_config: ZenohConfig = None,
@@ -46,19 +52,24 @@ def trace(
     In a terminal a table of the newest 1000 frames, elsewhere a line a frame. Ends with Ctrl-C or SIGTERM.
 
     Example: armsight trace --frames 300 --chrome frames.json
+
+    Example: armsight trace --from run.mcap --json
     """
     from armsight_operator.cli.bus import configuration
     from armsight_operator.trace import Statistics
     from armsight_operator.trace.chrome import chrome_trace
     from armsight_operator.trace.show import frame_as_json, frame_as_line, summary_as_dict, summary_as_line
 
-    config = configuration(connect, namespace, zenoh_config)
     statistics = Statistics()
     kept: deque[Frame] = deque(maxlen=_MOST_FRAMES if chrome is not None else 1)
     if chrome is not None:
         _check_writable(chrome)
     in_terminal = sys.stdout.isatty() and not as_json
-    source = _frames(config, frames)
+    source = (
+        _recorded(recordings, frames)
+        if recordings
+        else _frames(configuration(connect, namespace, zenoh_config), frames)
+    )
     if in_terminal:
         _draw(source, statistics, kept)
     else:
@@ -92,6 +103,22 @@ def _frames(config: "SessionConfig", count: int) -> "Iterator[Frame]":
             silent_s += _POLL_S
             if given == 0 and silent_s >= _SILENCE_S:
                 raise NoDataError(f"no frame was answered for {_SILENCE_S:g} s: see `armsight status`")
+
+
+def _recorded(files: list[Path], count: int) -> "Iterator[Frame]":
+    from armsight_operator.recording.reader import Recording
+    from armsight_operator.trace.recorded import recorded_frames
+
+    recording, given = Recording(*files), 0
+    for frame in recorded_frames(recording):
+        given += 1
+        yield frame
+        if given == count:
+            return
+    for path, trouble in recording.troubles.items():
+        print(f"{path}: {trouble}", file=sys.stderr)
+    if given == 0:
+        raise NoDataError("the recording has no frame that was answered: was control/status recorded?")
 
 
 def _draw(source: "Iterator[Frame]", statistics: "Statistics", kept: "deque[Frame]") -> None:
