@@ -30,7 +30,7 @@ POSE = (0.3, 0.0, 0.4, 0.5)
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """One stack for all tests: few frames a second, as browsers draw on the same processors."""
-    rig = Rig(Stack(out=tmp_path_factory.mktemp("stack"), target="none", mode="track", fps=10, page_port=0))
+    rig = Rig(Stack(out=tmp_path_factory.mktemp("stack"), target="none", mode="track", fps=15, page_port=0))
     rig.start_all()
     rig.start(PAGE)
     rig.wait_ready(120)  # with the solver loaded, as the mode asks for it

@@ -27,7 +27,7 @@ def commands(heading: str) -> list[str]:
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """A stack that stays well on two cores while commands start beside it: `armsight status` says 1 where it is not."""
-    with started(Stack(out=tmp_path_factory.mktemp("stack"), target="none", mode="hold", fps=10)) as rig:
+    with started(Stack(out=tmp_path_factory.mktemp("stack"), target="none", mode="hold", fps=15)) as rig:
         yield rig
 
 
