@@ -62,7 +62,7 @@ class SessionConfig:
     links: tuple[str, ...] = ()
     """Other routers to which a router connects, and again whenever it loses them."""
     namespace: str = DEFAULT_NAMESPACE
-    """Stands before every key; empty for a router, which serves all namespaces."""
+    """Stands before every key; empty for a router, which serves all namespaces, and for who asks it about itself."""
     shared_memory: Literal["off", "read", "publish"] = "read"
     """``publish`` makes a pool: sim alone."""
     file: Path | None = None
@@ -207,13 +207,15 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
         put("connect/endpoints", list(config.links))
         put("connect/exit_on_failure", False)  # it serves its own machine meanwhile
         put("connect/retry", _RETRY)
+        # whoever may ask learns who is connected: `armsight metrics`
+        put("adminspace", {"enabled": True, "permissions": {"read": True, "write": False}})
     else:
         put("connect/endpoints", list(config.endpoints))
         put("connect/timeout_ms", 500)
         put("connect/exit_on_failure", True)
         put("connect/retry", _RETRY)
         put("listen/endpoints", [])
-        put("namespace", config.namespace)
+        put("namespace", config.namespace or None)
     _put_shared_memory(put, config.shared_memory)
     return settings
 
