@@ -39,7 +39,7 @@ def ask_routers(session: zenoh.Session) -> tuple[Router, ...]:
     Args:
         session: without a namespace: the admin space is outside of all.
     """
-    found = []
+    found: list[Router] = []
     for reply in session.get(ROUTERS, timeout=_TIMEOUT_S):
         if reply.ok is not None and len(found) < _MOST:
             router = router_of(reply.ok.payload.to_bytes())
