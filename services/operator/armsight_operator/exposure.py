@@ -38,16 +38,22 @@ def check_exposure(endpoints: Sequence[str], *, mutual_tls: bool, links: Sequenc
             )
 
 
-def check_page_exposure(host: str) -> None:
-    """Refuses addresses at which anybody on the network could command the arm: the page asks nobody who they are.
+def check_host_exposure(host: str, what: str, risk: str, instead: str = "") -> None:
+    """Refuses an address that other machines reach, for what asks nobody who they are.
+
+    Args:
+        host: name or address to listen at.
+        what: is served there.
+        risk: what anybody can do who reaches it.
+        instead: another way to come to it from outside, if there is one.
 
     Raises:
         InsecureBindError: other machines reach it.
     """
     if not is_local(f"tcp/{f'[{host}]' if ':' in host else host}:1"):
         raise InsecureBindError(
-            f"a page at {host} is open to every machine that reaches this one, without certificates: whoever opens it "
-            "moves the arm. Listen on 127.0.0.1 and come by `ssh -L`, or say --insecure-bind"
+            f"{what} at {host or 'every address'} is open to every machine that reaches this one, without "
+            f"certificates: {risk}. Listen on 127.0.0.1{instead and f' and {instead}'}, or say --insecure-bind"
         )
 
 

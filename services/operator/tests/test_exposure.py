@@ -8,7 +8,7 @@ import pytest
 
 from armsight_operator.cli.app import main
 from armsight_operator.errors import InsecureBindError
-from armsight_operator.exposure import check_exposure, is_local, reachable_from_here
+from armsight_operator.exposure import check_exposure, check_host_exposure, is_local, reachable_from_here
 from armsight_operator.stack import free_port
 from secure_bus import SecureBus
 
@@ -52,6 +52,24 @@ def test_endpoint_that_asks_for_no_certificates_is_refused_whatever_the_file_say
         check_exposure([endpoint], mutual_tls=True)
     local = endpoint.replace("0.0.0.0", "127.0.0.1").replace("[::]", "[::1]")  # noqa: S104
     check_exposure([local], mutual_tls=False)
+
+
+@pytest.mark.parametrize("command", [("page",), ("metrics",), ("bridge", "foxglove")])
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.2", "robot.local", ""])  # noqa: S104
+def test_what_asks_nobody_who_they_are_is_for_this_machine_alone(
+    command: tuple[str, ...], host: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([*command, "--host", host])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert "--insecure-bind" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
+def test_this_machine_alone_needs_no_leave(host: str) -> None:
+    check_host_exposure(host, "it", "nothing")
 
 
 def test_endpoint_that_asks_for_certificates_itself_is_allowed() -> None:

@@ -24,11 +24,10 @@ from armsight.v1.joints_pb2 import JointPositions, StageTimes
 from armsight.v1.safety_pb2 import StopSource, StopState
 from armsight.v1.sim_pb2 import Clock
 from armsight_operator import monitor
-from armsight_operator.errors import InsecureBindError, PortInUseError
+from armsight_operator.errors import PortInUseError
 from armsight_operator.metrics import MetricsServer, Watch, registry
 from armsight_operator.metrics.counted import Meaning, meaning
 from armsight_operator.metrics.routers import Router, ask_routers, router_of
-from armsight_operator.metrics.server import check_host
 from armsight_operator.metrics.totals import Totals
 from armsight_operator.metrics.watch import MOST_NAMES, MOST_SERVICES
 from secure_bus import SecureBus
@@ -215,18 +214,6 @@ def test_values_that_are_none_and_statuses_of_the_future_break_nothing() -> None
     assert of(samples, "rate_hertz", service="sim") is None
     assert of(samples, "render_seconds", service="sim") == pytest.approx(0.004)
     assert of(samples, "metrics_ignored_total", what="gauge_value") == 2.0
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
-def test_the_loopback_is_served_without_asking(host: str) -> None:
-    check_host(host, insecure_bind=False)
-
-
-@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1", "robot.local", ""])  # noqa: S104
-def test_other_machines_read_only_where_that_is_wanted(host: str) -> None:
-    with pytest.raises(InsecureBindError, match="--insecure-bind"):
-        check_host(host, insecure_bind=False)
-    check_host(host, insecure_bind=True)
 
 
 def get(url: str, accept: str = "application/openmetrics-text; version=1.0.0") -> tuple[int, str, str]:

@@ -18,9 +18,8 @@ from websockets.typing import Subprotocol
 
 from armsight import topics
 from armsight.bus import Bus
-from armsight_operator.cli.app import main
-from armsight_operator.errors import InsecureBindError, PortInUseError
-from armsight_operator.exposure import check_page_exposure, is_own_page
+from armsight_operator.errors import PortInUseError
+from armsight_operator.exposure import is_own_page
 from armsight_operator.page.server import Server, check_bindable
 from armsight_operator.stack import free_port
 from fake_arm import FakeArm
@@ -47,21 +46,6 @@ def cpu_s(pid: int) -> float:
     """Processor time that a process used so far."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / 100
-
-
-@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.2", "robot.local"])  # noqa: S104
-def test_other_machines_are_let_in_only_on_purpose(host: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(InsecureBindError, match="--insecure-bind"):
-        check_page_exposure(host)
-    with pytest.raises(SystemExit) as ended:
-        main(["page", "--host", host])
-    assert ended.value.code == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
-def test_this_machine_alone_needs_no_leave(host: str) -> None:
-    check_page_exposure(host)
 
 
 @pytest.mark.parametrize(

@@ -44,15 +44,10 @@ def foxglove(
     from armsight.errors import ConfigError
     from armsight.logs import set_up_logging
     from armsight_operator.cli.bus import configuration, wait_connected
-    from armsight_operator.errors import InsecureBindError
-    from armsight_operator.exposure import is_local
+    from armsight_operator.exposure import check_host_exposure
 
-    address = f"[{host}]" if ":" in host else host
-    if not (insecure_bind or is_local(f"tcp/{address}:{port}")):
-        raise InsecureBindError(
-            f"{host} is open to every machine that reaches this one, and nobody is asked who he is: listen on "
-            "127.0.0.1, or say --insecure-bind"
-        )
+    if not insecure_bind:
+        check_host_exposure(host, "the bridge", "whoever connects sees, and sets targets")
     try:
         from armsight_operator.bridge.foxglove_server import Bridge
     except ModuleNotFoundError as error:
@@ -64,6 +59,7 @@ def foxglove(
             return
         bridge = Bridge(bus, host, port, writable=not read_only)
         try:
+            address = f"[{host}]" if ":" in host else host
             print(f"Foxglove and Lichtblick connect to ws://{address}:{bridge.port}", flush=True)
             stop.wait()
         finally:

@@ -29,11 +29,12 @@ def metrics(
     """
     from armsight.logs import set_up_logging
     from armsight_operator.cli.bus import configuration, wait_connected
+    from armsight_operator.exposure import check_host_exposure
     from armsight_operator.metrics import MetricsServer, Watch, registry
-    from armsight_operator.metrics.server import check_host
 
     config = configuration(connect, namespace, zenoh_config)
-    check_host(host, insecure_bind=insecure_bind)
+    if not insecure_bind:
+        check_host_exposure(host, "metrics", "whoever asks reads them")
     set_up_logging("metrics", "warning")
     stop = stop_on_signals()
     watch = Watch()

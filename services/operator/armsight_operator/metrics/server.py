@@ -10,8 +10,7 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
 
-from armsight_operator.errors import InsecureBindError, PortInUseError
-from armsight_operator.exposure import is_local
+from armsight_operator.errors import PortInUseError
 
 _REQUEST_S = 5.0
 """Somebody who sends half a request is not waited for any longer."""
@@ -19,20 +18,6 @@ _MOST_AT_ONCE = 16
 
 _Answer = Iterable[bytes]
 _Application = Callable[[dict[str, Any], Callable[..., Any]], _Answer]
-
-
-def check_host(host: str, *, insecure_bind: bool) -> None:
-    """Refuses an address that other machines reach, unless that is wanted.
-
-    Raises:
-        InsecureBindError: it is not the loopback's.
-    """
-    address = f"[{host}]" if ":" in host else host
-    if not insecure_bind and not is_local(f"tcp/{address}:1"):
-        raise InsecureBindError(
-            f"metrics on {host} could be read by every machine that reaches this one: leave --host at 127.0.0.1, or "
-            "say --insecure-bind"
-        )
 
 
 class MetricsServer:

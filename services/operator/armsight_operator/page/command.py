@@ -7,7 +7,7 @@ import typer
 
 from armsight.service import Context, run_service
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
-from armsight_operator.exposure import check_page_exposure
+from armsight_operator.exposure import check_host_exposure
 
 DEFAULT_PORT = 7448
 
@@ -37,7 +37,7 @@ def page(
     Example: armsight page --port 8000
     """
     if not insecure_bind:
-        check_page_exposure(host)
+        check_host_exposure(host, "a page", "whoever opens it moves the arm", "come by `ssh -L`")
     arguments = argparse.Namespace(
         connect=connect, namespace=namespace, zenoh_config=zenoh_config, health=health, log_level=log_level
     )
