@@ -238,6 +238,8 @@ def test_site_is_built_without_a_broken_link_and_fetches_nothing(tmp_path: Path)
         style for style in tmp_path.rglob("*.css") if re.search(r"(?:url\(|@import )['\"]?https?:", style.read_text())
     ]
     assert styles == []
+    pictures = {(page, source) for page, text in html.items() for source in re.findall(r'<img[^>]*src="([^"]+)"', text)}
+    assert [each for each in pictures if not (tmp_path / each[0]).parent.joinpath(each[1]).is_file()] == []
     assert "<math" in html["api/control.html"], "formulas of docstrings are drawn"
     public = re.search(
         r"__all__ = (\[.*?\])", (ROOT / "services/control/armsight_control/__init__.py").read_text(), re.DOTALL
