@@ -72,8 +72,7 @@ format: setup  ## rewrite everything the way lint wants it
 # Material says at every build that it ends in May 2027; its successor, Zensical, reads the same mkdocs.yml.
 docs: export NO_MKDOCS_2_WARNING := 1
 docs: $(INSTALLED)  ## build the documentation's site into build/site; broken links fail
-	@$(BIN)/mkdocs build --quiet --strict
-	@echo "build/site/index.html"
+	@$(BIN)/mkdocs build --strict # not --quiet: it hides warnings from --strict as well
 
 docs-serve: $(INSTALLED)  ## the same on http://127.0.0.1:8001, built anew at every change
 	$(BIN)/mkdocs serve --dev-addr 127.0.0.1:8001

@@ -226,7 +226,7 @@ def test_every_block_is_of_a_kind_that_is_checked() -> None:
 
 
 def test_site_is_built_without_a_broken_link_and_fetches_nothing(tmp_path: Path) -> None:
-    mkdocs = [str(Path(sys.executable).parent / "mkdocs"), "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    mkdocs = [str(Path(sys.executable).parent / "mkdocs"), "build", "--strict", "--site-dir", str(tmp_path)]
     quiet = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(mkdocs, cwd=ROOT, env=quiet, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

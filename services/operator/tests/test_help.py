@@ -56,7 +56,8 @@ def test_the_generated_pages_say_what_help_and_contract_say() -> None:
         text = texts[each.page.name]
         assert text == each.text(text), f"{each.page.name}: run `.venv/bin/python tools/reference_docs.py`"
     assert all(f"### armsight {name}\n" in texts["cli.md"] for name in NAMES)
-    assert all(f"| `{row.key}` |" in texts["keys.md"] for row in (*topics.TOPICS, *topics.QUERIES))
+    keys = [topic.key for topic in topics.TOPICS] + [query.key for query in topics.QUERIES]
+    assert all(f"| `{key}` |" in texts["keys.md"] for key in keys)
     assert "| `hold` = 3 | bool | An answer without motion: `joints` is ignored" in texts["messages.md"]
 
 
