@@ -241,6 +241,8 @@ def test_site_is_built_without_a_broken_link_and_fetches_nothing(tmp_path: Path)
     pictures = {(page, source) for page, text in html.items() for source in re.findall(r'<img[^>]*src="([^"]+)"', text)}
     assert [each for each in pictures if not (tmp_path / each[0]).parent.joinpath(each[1]).is_file()] == []
     assert "<math" in html["api/control.html"], "formulas of docstrings are drawn"
+    sphinx = r":(?:math|func|class|meth|mod|attr|data):|\.\. math|``"
+    assert [page for page, text in html.items() if page.startswith("api/") and re.search(sphinx, text)] == []
     public = re.search(
         r"__all__ = (\[.*?\])", (ROOT / "services/control/armsight_control/__init__.py").read_text(), re.DOTALL
     )
