@@ -11,8 +11,8 @@ from armsight_sim.targets import visible_box, visible_sphere
 from rig import Rig
 
 START = "2024-05-01T12:00:00Z"
-FPS = 10
-INSTANTS = 300  # one period of both
+FPS = 15
+INSTANTS = 450  # one period of both
 SIZE = (0.8, 0.4, 0.4)
 CHI2_3_95 = 7.81
 

@@ -208,6 +208,34 @@ def test_frames_come_by_shared_memory_where_it_is_shared(compose: Compose) -> No
     compose.wait_until_it_follows(60)
 
 
+@pytest.mark.parametrize(
+    ("differs", "who", "reason"),
+    [
+        ({"sim": {"ulimits": {"memlock": 65536}}}, "sim", "ulimit -l"),
+        ({"router": {"volumes": ["little:/dev/shm"]}}, "router", "--shm-size"),
+        ({"vision": {"user": "10002:10002"}}, "", ""),
+    ],
+    ids=["little may be locked", "little room", "another user's"],
+)
+def test_where_shared_memory_cannot_be_had_frames_come_all_the_same(
+    compose: Compose, tmp_path: Path, differs: dict[str, Any], who: str, reason: str
+) -> None:
+    little = {"little": {"driver_opts": {"type": "tmpfs", "device": "tmpfs", "o": "size=64k,mode=1777"}}}
+    override = tmp_path / "differs.json"
+    override.write_text(json.dumps({"services": differs, "volumes": little}), encoding="ascii")
+    files = ("docker-compose.yml", "docker-compose.shm.yml", str(override))
+    compose(*(word for file in files for word in ("--file", file)), "up", "--detach", "--wait")
+    try:
+        compose.wait_until_it_follows(60)
+        assert counted(compose, "frames_received") > 10
+        assert counted(compose, "frames_by_shared_memory") == 0
+        if who:
+            assert reason in compose("logs", who)
+    finally:
+        compose("up", "--detach", "--wait", "--remove-orphans")
+    compose.wait_until_it_follows(60)
+
+
 def test_with_certificates_the_arm_moves_and_nobody_without_one_is_let_in(
     compose: Compose, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

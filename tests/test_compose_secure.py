@@ -5,13 +5,20 @@ import os
 import socket
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from threading import Event
 
 import pytest
 from test_compose import BUILD_S, SECOND, Compose, docker
 
+from armsight import topics
+from armsight.bus import Bus, open_bus
 from armsight.service import EXIT_CONFIG
+from armsight.session import SessionConfig, open_session
+from armsight.times import to_duration, to_timestamp
+from armsight.v1.joints_pb2 import JointCommand
 from armsight_operator.certs.folder import Folder
 from armsight_operator.stack import free_port
 from secure_bus import an_hour_ago, certify
@@ -111,6 +118,48 @@ def test_nobody_without_a_certificate_or_with_anothers_does_anything(secure: Com
     assert ended.returncode == EXIT_CONFIG
     assert "certificate are for vision" in ended.stdout + ended.stderr
     assert secure.wait_until_it_follows(60)["mode"] == "track"
+
+
+def test_vision_commands_nothing_and_what_the_contract_does_not_name_goes_nowhere(
+    secure: Compose, certificates: Folder
+) -> None:
+    secure.wait_until_it_follows(60)
+    with ExitStack() as places:
+
+        def place(name: str) -> Bus:
+            endpoint = f"tls/127.0.0.1:{secure.environment['ARMSIGHT_PORT']}"
+            file = certificates.path / name / "zenoh.json5"
+            session = open_session(SessionConfig(endpoints=(endpoint,), shared_memory="off", file=file), Event())
+            assert session is not None
+            return places.enter_context(open_bus(session))
+
+        operator, vision, control = place("operator"), place("vision"), place("control")
+        health = operator.subscriber(topics.HEALTH, "sim")
+
+        def refused() -> int:
+            until = time.monotonic() + 5
+            while (heard := health.recv(2.0)) is None:
+                assert time.monotonic() < until, "sim is silent"
+            return heard.message.counters["command_refused_stale"]
+
+        ancient = JointCommand(answers=to_timestamp(1_000_000_000), valid_for=to_duration(0.1))
+        before = refused()
+        vision.publisher(topics.JOINT_COMMAND).put(ancient)
+        time.sleep(2.0)
+        assert refused() == before
+        control.publisher(topics.JOINT_COMMAND).put(ancient)  # the control run
+        deadline = time.monotonic() + 10
+        while refused() == before:
+            assert time.monotonic() < deadline, "control's command did not arrive"
+        heard: list[str] = []
+        operator.session.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
+        positions = operator.subscriber(topics.JOINT_POSITIONS)
+        for key in ("joints/unlisted", "joints/positions/more", "mine"):
+            vision.session.put(key, b"?")
+            control.session.put(key, b"?")
+        assert positions.recv(5.0) is not None  # the control run
+        time.sleep(1.0)
+        assert heard == []
 
 
 def test_viewer_stops_the_arm_and_only_operator_releases_it(secure: Compose, certificates: Folder) -> None:

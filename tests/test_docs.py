@@ -438,7 +438,7 @@ def _longest(table: Mapping[str, Any], command: str) -> Any:
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """A stack that stays well on two cores while commands start beside it: `armsight status` says 1 where it is not.
 
-    No slower: at 10 frames a second sim's watchdog, 0.1 s, brakes the arm between any two commands.
+    No slower: sim refuses it.
     """
     with started(Stack(out=tmp_path_factory.mktemp("stack"), target="default", mode="track", fps=15)) as rig:
         yield rig

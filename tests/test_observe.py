@@ -45,7 +45,7 @@ class Metrics:
 @pytest.fixture
 def watched(make_rig: MakeRig) -> Iterator[tuple[Rig, Metrics]]:
     """A stack that holds, and somebody who watches it from the start."""
-    rig = make_rig(target="none", mode="hold", fps=10)
+    rig = make_rig(target="none", mode="hold", fps=15)
     rig.start("router")
     metrics = Metrics(rig)
     rig.start_all()

@@ -92,7 +92,7 @@ def rigs(machines: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[t
         Elsewhere(
             out=out / "edge",
             port=free_port(),
-            fps=10,
+            fps=15,
             certificates=folder.path,
             extra={"router": ["--connect", link]},
         )

@@ -12,7 +12,7 @@ from browser import Viewer, chromium
 from rig import Rig
 
 folder = Path(tempfile.mkdtemp(prefix="armsight-"))
-rig = Rig(Stack(out=folder, target="default", mode="track", fps=10, page_port=0))
+rig = Rig(Stack(out=folder, target="default", mode="track", fps=15, page_port=0))
 try:
     rig.start_all()
     rig.start(PAGE)

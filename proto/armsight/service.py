@@ -10,7 +10,7 @@ import threading
 import uuid
 from collections.abc import Callable
 from types import FrameType
-from typing import Any, Literal
+from typing import Any
 
 from google.protobuf.empty_pb2 import Empty
 
@@ -20,6 +20,7 @@ from armsight.errors import ArmsightError, NoReplyError, SessionClosedError
 from armsight.logs import set_up_logging
 from armsight.parameters import Tunables
 from armsight.session import add_session_arguments, check_role, open_session, session_config
+from armsight.shared_memory import Use
 from armsight.times import to_timestamp, wall_ns
 from armsight.topics import ASK_PARAMETERS, HEALTH, PARAMETERS, SET_PARAMETERS
 from armsight.v1.health_pb2 import HEALTH_STATUS_WAITING, Health, HealthStatus
@@ -120,7 +121,7 @@ def run_service(
     arguments: argparse.Namespace,
     parameters: object,
     body: Callable[[Context], None],
-    shared_memory: Literal["off", "read", "publish"] = "read",
+    shared_memory: Use = "read",
     role: str | None = None,
 ) -> int:
     """Runs a service until it ends or SIGTERM or SIGINT asks it to; returns the exit code.

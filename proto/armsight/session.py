@@ -8,7 +8,6 @@ import json
 import logging
 import os
 import re
-import resource
 import sys
 import threading
 from dataclasses import dataclass, replace
@@ -19,19 +18,14 @@ import zenoh
 
 from armsight import tls
 from armsight.errors import ConfigError
+from armsight.shared_memory import POOL_BYTES, Use, why_not
 
 log = logging.getLogger(__name__)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 DEFAULT_NAMESPACE = "robots/arm"
 
-# Three pairs of 800x800 rgb8 frames do not fit, three frames do: every process that maps the pool must lock it, and the
-# usual limit is 8 MiB.
-SHARED_MEMORY_POOL_BYTES = 6 * 1024 * 1024
-SHARED_MEMORY_LOCK_BYTES = SHARED_MEMORY_POOL_BYTES + 3 * 512 * 1024
-"""Of memory that each process on the way of the frames must be allowed to lock."""
 _SHARED_MEMORY_THRESHOLD_BYTES = 65536
-_CAP_IPC_LOCK = 14
 
 # Zenoh's own: under load the loss of frames at 30 Hz falls from a tenth to nothing.
 _DATA_LOW_QUEUE = 16
@@ -62,9 +56,9 @@ class SessionConfig:
     links: tuple[str, ...] = ()
     """Other routers to which a router connects, and again whenever it loses them."""
     namespace: str = DEFAULT_NAMESPACE
-    """Stands before every key; empty for a router, which serves all namespaces."""
-    shared_memory: Literal["off", "read", "publish"] = "read"
-    """``publish`` makes a pool: sim alone."""
+    """Stands before every key; empty for a router, which serves all namespaces, and for who asks it about itself."""
+    shared_memory: Use = "read"
+    """Where this machine lets it: see :func:`open_session`."""
     file: Path | None = None
     """Zenoh configuration (JSON5) to start from, for TLS and access control; TLS files are named relative to it."""
 
@@ -96,9 +90,7 @@ def add_session_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def session_config(
-    arguments: argparse.Namespace, shared_memory: Literal["off", "read", "publish"] = "read"
-) -> SessionConfig:
+def session_config(arguments: argparse.Namespace, shared_memory: Use = "read") -> SessionConfig:
     """The configuration that flags, environment and file add up to.
 
     Raises:
@@ -158,16 +150,22 @@ def check_role(config: SessionConfig, service: str) -> None:
 def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session | None:
     """Opens a session, waiting for the router as long as it takes; returns nothing once ``stop`` is set.
 
+    Where shared memory is wanted and can't be had, it says why and goes without.
+
     Raises:
         ConfigError: Zenoh refuses the configuration, or a router can't listen.
     """
     _log_to_stderr()
-    settings = zenoh_settings(config)
+    said = ""
     attempt = 0
     while not stop.is_set():
         attempt += 1
+        in_the_way = why_not(config.shared_memory)
+        if in_the_way and in_the_way != said:
+            log.warning("no shared memory: %s", in_the_way)
+            said = in_the_way
         try:
-            return zenoh.open(settings)
+            return zenoh.open(zenoh_settings(replace(config, shared_memory="off") if in_the_way else config))
         except zenoh.ZError as error:
             if config.mode == "router":
                 raise ConfigError(f"can't listen on {', '.join(config.endpoints)}: {_reason(error)}") from error
@@ -207,13 +205,15 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
         put("connect/endpoints", list(config.links))
         put("connect/exit_on_failure", False)  # it serves its own machine meanwhile
         put("connect/retry", _RETRY)
+        # whoever may ask learns who is connected: `armsight metrics`
+        put("adminspace", {"enabled": True, "permissions": {"read": True, "write": False}})
     else:
         put("connect/endpoints", list(config.endpoints))
         put("connect/timeout_ms", 500)
         put("connect/exit_on_failure", True)
         put("connect/retry", _RETRY)
         put("listen/endpoints", [])
-        put("namespace", config.namespace)
+        put("namespace", config.namespace or None)
     _put_shared_memory(put, config.shared_memory)
     return settings
 
@@ -234,35 +234,17 @@ def _log_to_stderr() -> None:
     zenoh.init_log_from_env_or("error")
 
 
-def _put_shared_memory(put, wanted: str) -> None:  # type: ignore[no-untyped-def]
-    allowed = wanted != "off" and may_lock(SHARED_MEMORY_LOCK_BYTES)
-    if wanted != "off" and not allowed:
-        log.warning(
-            "no shared memory: this process may lock less than %d bytes; raise `ulimit -l` to use it",
-            SHARED_MEMORY_LOCK_BYTES,
-        )
-    put("transport/shared_memory/enabled", allowed)
-    if allowed and wanted == "publish":
+def _put_shared_memory(put, use: Use) -> None:  # type: ignore[no-untyped-def]
+    put("transport/shared_memory/enabled", use != "off")
+    if use == "publish":
         optimization = {
             "enabled": True,
-            "pool_size": SHARED_MEMORY_POOL_BYTES,
+            "pool_size": POOL_BYTES,
             "message_size_threshold": _SHARED_MEMORY_THRESHOLD_BYTES,
         }
         put("transport/shared_memory/transport_optimization", optimization)
     else:
         put("transport/shared_memory/transport_optimization/enabled", False)
-
-
-def may_lock(size: int) -> bool:
-    """Whether this process may lock so many bytes of memory."""
-    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    return soft == resource.RLIM_INFINITY or soft >= size or _has_capability(_CAP_IPC_LOCK)
-
-
-def _has_capability(number: int) -> bool:
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    effective = next((line.split()[1] for line in status.splitlines() if line.startswith("CapEff:")), "0")
-    return bool(int(effective, 16) >> number & 1)
 
 
 def _read_file(file: Path) -> zenoh.Config:

@@ -10,7 +10,6 @@ joints, which goes on to explain what the cameras see: the two have no variable 
 """
 
 import math
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,25 +27,18 @@ MOST_M = 0.15
 _BLOCKED_M = 0.3
 
 
-@dataclass(frozen=True, slots=True)
-class Correction:
-    """The slow part of the difference, base frame, metres."""
-
-    offset: Array = field(default_factory=lambda: np.zeros(3))
-
-
 def corrected(
-    state: Correction,
+    correction: Array,
     seen: Seen | None,
     commanded: Array,
     speed_m_s: float,
     dt_s: float,
     time_s: float = CORRECTION_TIME_S,
-) -> Correction:
-    """The correction after one more instant.
+) -> Array:
+    """The correction after one more instant, base frame, metres.
 
     Args:
-        state: so far.
+        correction: so far, base frame, metres.
         seen: the tip by its markers, if they can be seen.
         commanded: where the setpoint of the same instant puts it.
         speed_m_s: of the commanded tip.
@@ -54,10 +46,10 @@ def corrected(
         time_s: in which a difference is taken over, all but a third.
     """
     if seen is None or seen.sigma_m > _SIGMA_M or speed_m_s > _SPEED_M_S:
-        return state
+        return correction
     difference = seen.position - commanded
     if float(np.linalg.norm(difference)) > _BLOCKED_M:
-        return state
-    offset = state.offset + (1 - math.exp(-dt_s / time_s)) * (difference - state.offset)
-    size = float(np.linalg.norm(offset))
-    return replace(state, offset=offset * min(1.0, MOST_M / size) if size > 0 else offset)
+        return correction
+    after = correction + (1 - math.exp(-dt_s / time_s)) * (difference - correction)
+    size = float(np.linalg.norm(after))
+    return after * min(1.0, MOST_M / size) if size > 0 else after

@@ -10,7 +10,7 @@ from armsight.v1.joints_pb2 import JointPositions
 from armsight_control import safety
 from armsight_control.bodies import BodyNames, seen, tip_by_markers
 from armsight_control.chain import Array
-from armsight_control.correction import Correction, corrected
+from armsight_control.correction import corrected
 from armsight_control.description import Arm
 from armsight_control.positions import LastLinks, Positions
 from armsight_control.tracking import Moving, Track, observed, predicted
@@ -33,12 +33,8 @@ class Sight:
         self._box: Track | None = None
         self._expected: safety.Expected | None = None
         self._commanded = np.zeros(3)
-        self._correction = Correction()
-
-    @property
-    def correction(self) -> Array:
+        self.correction = np.zeros(3)
         """The slow part of the tip as seen less the tip as commanded, base frame, metres."""
-        return self._correction.offset
 
     def look(
         self, message: JointPositions, positions: Positions, commanded: Array, step: Step, learn_s: float | None
@@ -67,7 +63,7 @@ class Sight:
         self._expected = safety.expect(self._expected, tip, commanded)
         safety.check_expected(self._expected)
         if learn_s is not None:
-            self._correction = corrected(self._correction, tip, commanded, speed, step.dt_s, learn_s)
+            self.correction = corrected(self.correction, tip, commanded, speed, step.dt_s, learn_s)
 
     def sphere(self, step: Step, effect_ns: int) -> Moving | None:
         """The sphere's centre in motion at an instant; nothing where it was not seen for too long."""

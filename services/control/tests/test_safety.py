@@ -7,7 +7,7 @@ import pytest
 from armsight_control import safety
 from armsight_control.bodies import Seen
 from armsight_control.chain import Array
-from armsight_control.correction import MOST_M, Correction, corrected
+from armsight_control.correction import MOST_M, corrected
 from armsight_control.description import Arm
 from armsight_control.errors import PositionsError
 from armsight_control.standoff import BEFORE, BEYOND, DISTANCE_M, beside, side_of
@@ -62,20 +62,20 @@ def test_into_a_singularity_it_slows_down_and_out_of_it_not() -> None:
 
 def test_the_correction_takes_what_is_seen_steadily_and_nothing_else() -> None:
     commanded, wrong = np.array([3.0, 1.0, 7.0]), np.array([0.04, -0.03, 0.02])
-    good, state = Seen(commanded + wrong, 0.005), Correction()
+    good, offset = Seen(commanded + wrong, 0.005), np.zeros(3)
     for _ in range(60):
-        state = corrected(state, good, commanded, 0.5, DT_S)
-    np.testing.assert_allclose(state.offset, wrong, atol=1e-3)
+        offset = corrected(offset, good, commanded, 0.5, DT_S)
+    np.testing.assert_allclose(offset, wrong, atol=1e-3)
     for seen, speed in (
         (None, 0.0),
         (Seen(commanded, 0.1), 0.0),  # vague
         (Seen(commanded, 0.005), 3.0),  # fast
         (Seen(commanded + np.array([1.0, 0, 0]), 0.005), 0.0),  # blocked
     ):
-        assert corrected(state, seen, commanded, speed, DT_S) == state
+        assert corrected(offset, seen, commanded, speed, DT_S) is offset
     for _ in range(300):
-        state = corrected(state, Seen(commanded + np.array([0.2, 0.2, 0]), 0.005), commanded, 0.0, DT_S)
-    assert np.linalg.norm(state.offset) == pytest.approx(MOST_M)
+        offset = corrected(offset, Seen(commanded + np.array([0.2, 0.2, 0]), 0.005), commanded, 0.0, DT_S)
+    assert np.linalg.norm(offset) == pytest.approx(MOST_M)
 
 
 def test_the_place_beside_a_sphere_is_a_metre_off_on_the_line_to_the_shoulder() -> None:

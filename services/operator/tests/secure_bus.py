@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -82,10 +83,17 @@ class SecureBus:
             self._routers.pop().close()  # type: ignore[no-untyped-call]
 
     def bus(self, name: str) -> Bus:
-        session = open_session(self.config(name), threading.Event())
+        return Bus(self._session(self.config(name)))
+
+    def outside(self, name: str) -> zenoh.Session:
+        """A session with this bearer's certificate in no robot's namespace."""
+        return self._session(replace(self.config(name), namespace=""))
+
+    def _session(self, config: SessionConfig) -> zenoh.Session:
+        session = open_session(config, threading.Event())
         assert session is not None
         self._opened.append(session)
-        return Bus(session)
+        return session
 
     def close(self) -> None:
         for session in self._opened:

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 from test_cli import Command, command, saying
 
-from armsight.session import SHARED_MEMORY_LOCK_BYTES, SessionConfig
+from armsight.session import SessionConfig
+from armsight.shared_memory import LOCK_BYTES
 from armsight_operator.cli import doctor as command_module
 from armsight_operator.cli.app import main
 from armsight_operator.doctor import Finding, Level, facts, machine, network, software
@@ -168,7 +169,7 @@ def test_what_this_machine_says_of_itself_makes_sense(monkeypatch: pytest.Monkey
     assert facts.installed_version("no-such-package") == ""
     assert facts.pinned(tmp_path) is None
     assert facts.free_disk(tmp_path) > 0
-    assert facts.memory_lock()[2] == SHARED_MEMORY_LOCK_BYTES
+    assert facts.memory_lock()[2] == LOCK_BYTES
     assert machine.clock(facts.clock()).level is not Level.BROKEN
     monkeypatch.setattr(importlib.metadata, "requires", lambda _: ["rich>=999", "typer", "nothing; extra == 'x'"])
     assert [one.split()[0] for one in facts.unmet()] == ["rich"]

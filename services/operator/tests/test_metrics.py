@@ -1,5 +1,6 @@
 """What is heard becomes metrics: names, units, totals over restarts, and a bound on all of it."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from armsight_operator import monitor
 from armsight_operator.errors import InsecureBindError, PortInUseError
 from armsight_operator.metrics import MetricsServer, Watch, registry
 from armsight_operator.metrics.counted import Meaning, meaning
+from armsight_operator.metrics.routers import Router, ask_routers, router_of
 from armsight_operator.metrics.server import check_host
 from armsight_operator.metrics.totals import Totals
 from armsight_operator.metrics.watch import MOST_NAMES, MOST_SERVICES
@@ -282,6 +284,11 @@ def test_the_command_serves_what_it_hears_and_ends_on_sigterm(endpoint: str, mak
             samples = parsed(get(url)[2])
         assert of(samples, "bus_connected") == 1.0
         assert of(samples, "service_up", service="sim") == 1.0
+        (router,) = {dict(labels)["router"] for name, labels in samples if name == "armsight_router_info"}
+        # this test's place on the bus, the exporter's, and its one outside of the robot's namespace
+        assert of(samples, "router_sessions", router=router, kind="client") == 3.0
+        assert of(samples, "router_sessions", router=router, kind="router") == 0.0
+        assert of(samples, "router_links", router=router, protocol="tcp") == 3.0
         began = time.monotonic()
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=5) == 0
@@ -301,7 +308,7 @@ def test_with_certificates_whoever_may_look_may_serve_metrics(tmp_path: Path) ->
     secure.start_router()
     try:
         watch = Watch()
-        watch.listen(secure.bus("viewer"))
+        watch.listen(secure.bus("viewer"), secure.outside("viewer"))
         publisher = secure.bus("sim").publisher(topics.HEALTH, "sim")
         until = time.monotonic() + 10
         while of(scraped(watch), "service_up", service="sim") != 1.0:
@@ -309,5 +316,35 @@ def test_with_certificates_whoever_may_look_may_serve_metrics(tmp_path: Path) ->
             publisher.put(Health(service="sim", status=HEALTH_STATUS_OK, instance="a"))
             time.sleep(0.05)
         assert of(scraped(watch), "bus_connected") == 1.0
+        (router,) = ask_routers(secure.outside("operator"))
+        assert router.sessions["client"] == router.links["tls"] == 4
+        assert ask_routers(secure.outside("vision")) == (), "it has no right to know who is there"
     finally:
         secure.close()
+
+
+def test_a_router_is_counted_by_what_it_says_and_not_by_what_it_might() -> None:
+    told = {
+        "zid": "ab" * 100,
+        "version": "v1.10.2-cc83 built with rustc",
+        "sessions": [
+            {"whatami": "client", "links": [{"src": "tls/a:1"}, {"src": "tcp/a:1"}]},
+            {"whatami": "router", "links": [{"src": "carrier-pigeon/a:1"}, 7, {"src": 7}]},
+            {"whatami": ["x"], "links": None},
+            "nonsense",
+        ],
+    }
+    router = router_of(json.dumps(told).encode())
+    assert router == Router(
+        name="ab" * 32,
+        version="v1.10.2",
+        sessions={"client": 1, "peer": 0, "router": 1, "other": 1},
+        links={"tcp": 1, "tls": 1, "other": 3},
+    )
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"\xff", b"7", b"[]", b"{}", b'{"zid":"a","version":"1","sessions":7}', b"[" * 100_000]
+)
+def test_what_is_no_routers_account_is_none(payload: bytes) -> None:
+    assert router_of(payload) is None

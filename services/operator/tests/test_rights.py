@@ -402,7 +402,7 @@ def test_configuration_grants_what_the_table_grants_and_denies_the_rest() -> Non
         (role, f"{DEFAULT_NAMESPACE}/{query.key.replace('{name}', '*' if role in query.callers else role)}")
         for query in QUERIES
         for role in names(query.callers)
-    }
+    } | {("operator", "@/*/router"), ("viewer", "@/*/router")}, "and who is connected to the router"
     assert {subject["id"]: subject["cert_common_names"] for subject in control["subjects"]} == {
         role: [role] for role in WHO
     }

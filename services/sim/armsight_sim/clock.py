@@ -8,6 +8,9 @@ from enum import Enum
 
 from armsight.times import NS_PER_S
 
+WATCHDOG_S = 0.1
+"""Simulated time without a fresh command to move after which the arm decelerates and holds."""
+
 
 class ClockMode(Enum):
     """How simulated time passes."""

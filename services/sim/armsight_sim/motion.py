@@ -8,15 +8,12 @@ import numpy.typing as npt
 
 from armsight.times import NS_PER_S
 from armsight.v1.joints_pb2 import JointCommand
-from armsight_sim.clock import Instants
+from armsight_sim.clock import WATCHDOG_S, Instants
 from armsight_sim.commands import CommandGate, Decision, Verdict
 from armsight_sim.setpoint import Setpoint
 from armsight_sim.world import World
 
 Vector = npt.NDArray[np.float64]
-
-WATCHDOG_S = 0.1
-"""Simulated time without a fresh command to move after which the arm decelerates and holds."""
 
 
 class Motion:

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from armsight.errors import ConfigError
 from armsight.service import add_service_arguments
 from armsight.times import NS_PER_S, wall_ns
-from armsight_sim.clock import ClockMode
+from armsight_sim.clock import WATCHDOG_S, ClockMode
 from armsight_sim.targets import NONE, TARGETS
 
 AMBIENT_SWEEP = "sweep"
 LIT, EMISSIVE = "lit", "emissive"
 SAMPLES = (0, 4)
 """For each pixel: software GL gives no others."""
+MIN_FPS, MAX_FPS = 15, 240
+"""Each frame brings a command, and the next one may be late by a third of the watchdog's time."""
 MOST_NOISE = 50.0
 """Grey levels."""
 # 2200: simulated time, counted on from here, stays in 64 bits for every reader
@@ -44,8 +46,11 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuses what can't work, saying what can."""
-        if not 1 <= self.fps <= 240:
-            raise ConfigError(f"--fps {self.fps} is not within 1 to 240")
+        if not MIN_FPS <= self.fps <= MAX_FPS:
+            raise ConfigError(
+                f"--fps {self.fps} is not within {MIN_FPS} to {MAX_FPS}: the arm holds when no command comes for "
+                f"{WATCHDOG_S:g} s, and each frame brings one"
+            )
         if not (16 <= self.width <= 1920 and 16 <= self.height <= 1920):
             raise ConfigError(f"--width {self.width} --height {self.height}: both must be within 16 to 1920")
         if self.ambient is not None and not 0.0 <= self.ambient <= 1.0:
@@ -94,7 +99,7 @@ def argument_parser() -> argparse.ArgumentParser:
         default=ClockMode.REALTIME.value,
         help="realtime: frames by the wall clock; lockstep: wait for the answer to every frame (default: realtime)",
     )
-    parser.add_argument("--fps", type=int, default=30, help="frames a second of simulated time (default: 30)")
+    parser.add_argument("--fps", type=int, default=30, help="frames a second of simulated time, from 15 (default: 30)")
     parser.add_argument("--width", type=int, default=800, help="pixels (default: 800)")
     parser.add_argument("--height", type=int, default=800, help="pixels (default: 800)")
     parser.add_argument(

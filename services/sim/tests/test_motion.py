@@ -3,9 +3,9 @@ import pytest
 
 from armsight.times import to_duration, to_timestamp
 from armsight.v1.joints_pb2 import JointCommand, JointSetpoint
-from armsight_sim.clock import Instants
+from armsight_sim.clock import WATCHDOG_S, Instants
 from armsight_sim.commands import Verdict
-from armsight_sim.motion import WATCHDOG_S, Motion
+from armsight_sim.motion import Motion
 from armsight_sim.world import World
 
 START = 1_700_000_000_000_000_000

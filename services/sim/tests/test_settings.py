@@ -14,6 +14,7 @@ EXECUTABLE = Path(sys.executable).parent / "armsight-sim"
     "flags",
     [
         ["--fps", "0"],
+        ["--fps", "10"],  # the arm would hold between any two commands
         ["--width", "8"],
         ["--height", "100000"],
         ["--ambient", "bright"],

@@ -10,6 +10,7 @@
 #include <fstream>
 
 #include "service/session_config.hpp"
+#include "service/shared_memory.hpp"
 
 namespace armsight::vision::service {
 namespace {
@@ -142,6 +143,17 @@ class ConfigurationFile : public Environment {
         return session_config(*parsed(flags), false);
     }
 };
+
+TEST(SharedMemory, IsLeftAloneWhereThereIsNoRoomOrNoLeave) {
+    EXPECT_TRUE(may_lock(0));
+    if (!may_lock(kSharedMemoryLockBytes)) {
+        EXPECT_NE(why_no_shared_memory().find("ulimit -l"), std::string::npos);
+        return;
+    }
+    EXPECT_EQ(why_no_shared_memory(std::filesystem::temp_directory_path()), "") << "a disk with room";
+    EXPECT_NE(why_no_shared_memory("/nowhere").find("can't write there"), std::string::npos);
+    EXPECT_NE(why_no_shared_memory("/proc").find("0 bytes free"), std::string::npos) << "no room for anybody's files";
+}
 
 TEST_F(ConfigurationFile, WinsOverDefaultsAndLosesToFlags) {
     write("{ connect: { endpoints: ['tcp/file:1'] }, namespace: 'robots/file', /* JSON5 */ }");

@@ -9,6 +9,10 @@ from typing import Any, Literal
 
 from armsight.topics import EACH, QUERIES, TOPICS, Query, Topic
 
+ROUTERS = "@/*/router"
+"""Where every router tells of itself (Zenoh's admin space): who is connected to it."""
+_ASK_ROUTERS = ("operator", "viewer")
+
 Flow = Literal["ingress", "egress"]
 Right = tuple[Flow, str]
 """Flow and message."""
@@ -46,6 +50,9 @@ def rights(
     for namespace in namespaces:
         for flow, message, key in relative:
             keys.setdefault((flow, message), set()).add(f"{namespace}/{key}")
+    if role in _ASK_ROUTERS and not behind_router:
+        keys.setdefault(("ingress", "query"), set()).add(ROUTERS)
+        keys.setdefault(("egress", "reply"), set()).add(ROUTERS)
     return {right: tuple(sorted(keys[right])) for right in sorted(keys)}
 
 

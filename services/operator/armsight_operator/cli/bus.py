@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from armsight.bus import Bus, open_bus
 from armsight.session import SessionConfig, open_session, refusal, session_config
+from armsight.shared_memory import Use
 from armsight_operator.errors import NoRouterError
 
 ROUTER_TIMEOUT_S = 3.0
@@ -20,7 +20,7 @@ def configuration(
     connect: Sequence[str] | None,
     namespace: str | None,
     zenoh_config: Path | None,
-    shared_memory: Literal["off", "read"] = "off",
+    shared_memory: Use = "off",
 ) -> SessionConfig:
     """What flags, environment and file add up to.
 

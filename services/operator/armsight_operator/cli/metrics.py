@@ -1,5 +1,6 @@
 """`armsight metrics`: what the services say of themselves, for Prometheus."""
 
+from dataclasses import replace
 from typing import Annotated
 
 import typer
@@ -39,7 +40,10 @@ def metrics(
     with MetricsServer(host, port, registry(watch.observe), watch.connected) as server:
         print(f"metrics at {server.url}", flush=True)
         with wait_connected(config, stop) as bus:
-            if bus is not None:
-                watch.listen(bus)
+            if bus is None:
+                return
+            # what routers tell of themselves is in no robot's namespace
+            with wait_connected(replace(config, namespace=""), stop) as outside:
+                watch.listen(bus, None if outside is None else outside.session)
                 stop.wait()
                 watch.leave()

@@ -7,7 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from armsight.service import VERSION
-from armsight.session import SHARED_MEMORY_POOL_BYTES, SessionConfig
+from armsight.session import SessionConfig
+from armsight.shared_memory import POOL_BYTES, SESSION_BYTES, free_bytes
 from armsight.tls import host_and_port
 from armsight_operator.doctor import facts, machine, network, software
 from armsight_operator.doctor.finding import Finding
@@ -51,7 +52,7 @@ def _machine() -> list[Finding]:
     return [
         machine.clock(facts.clock()),
         machine.memory_lock(*facts.memory_lock()),
-        machine.shared_memory(facts.free_shared_memory(), SHARED_MEMORY_POOL_BYTES),
+        machine.shared_memory(free_bytes(), POOL_BYTES + SESSION_BYTES),
         machine.disk(facts.free_disk(here), str(here)),
     ]
 

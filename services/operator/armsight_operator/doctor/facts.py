@@ -3,7 +3,6 @@
 import ctypes
 import importlib.metadata
 import importlib.util
-import os
 import re
 import resource
 import shutil
@@ -15,7 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import armsight_operator
-from armsight.session import SHARED_MEMORY_LOCK_BYTES, SessionConfig, may_lock, refusal
+from armsight import shared_memory
+from armsight.session import SessionConfig, refusal
 from armsight_operator.doctor.machine import ClockFacts, Holder, holder_of, listening_ports
 from armsight_operator.doctor.network import BusFacts, Heard
 from armsight_operator.doctor.software import Answer, pinned_in
@@ -118,16 +118,7 @@ def memory_lock() -> tuple[bool, int | None, int]:
     """Whether the pool's memory may be locked, the limit and what is needed, bytes; no limit is None."""
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     limit = None if soft == resource.RLIM_INFINITY else soft
-    return may_lock(SHARED_MEMORY_LOCK_BYTES), limit, SHARED_MEMORY_LOCK_BYTES
-
-
-def free_shared_memory() -> int | None:
-    """Bytes; nothing where there is no /dev/shm."""
-    try:
-        told = os.statvfs("/dev/shm")  # noqa: S108  (not a temporary file: the place itself)
-    except OSError:
-        return None
-    return told.f_bavail * told.f_frsize
+    return shared_memory.may_lock(shared_memory.LOCK_BYTES), limit, shared_memory.LOCK_BYTES
 
 
 def free_disk(folder: Path) -> int:

@@ -16,6 +16,7 @@ from prometheus_client.registry import Collector
 
 from armsight.v1.control_pb2 import ControlMode, ControlState
 from armsight_operator.metrics.counted import GAUGES, REPLACED, meaning
+from armsight_operator.metrics.routers import Router
 from armsight_operator.metrics.watch import BUCKETS_S, Observed, Seen
 from armsight_operator.monitor import word
 
@@ -76,6 +77,7 @@ def metrics(seen: Observed) -> Iterator[Metric]:
         {(what,): float(total) for what, total in seen.ignored.items()},
         ("what",),
     )
+    yield from _of_routers(seen.routers)
     yield from _of_services(seen.services)
     yield from _of_totals(seen)
     yield from _of_gauges(seen.services)
@@ -86,6 +88,15 @@ def metrics(seen: Observed) -> Iterator[Metric]:
     yield _gauge("target_error_metres", "Estimated tip to target; absent where there is no target.", error, ())
     stops = {} if seen.stopped_by is None else {(): float(seen.stopped_by)}
     yield _gauge("stop_sources", "How many stop the arm now; absent where sim never said.", stops, ())
+
+
+def _of_routers(routers: tuple[Router, ...]) -> Iterator[Metric]:
+    versions = {(router.name, router.version): 1.0 for router in routers}
+    yield _gauge("router_info", "A router and its Zenoh's version; always 1.", versions, ("router", "version"))
+    sessions = {(router.name, kind): float(count) for router in routers for kind, count in router.sessions.items()}
+    yield _gauge("router_sessions", "Who is connected to a router, by kind.", sessions, ("router", "kind"))
+    links = {(router.name, name): float(count) for router in routers for name, count in router.links.items()}
+    yield _gauge("router_links", "Links of a router's sessions, by protocol.", links, ("router", "protocol"))
 
 
 def _of_services(services: tuple[Seen, ...]) -> Iterator[Metric]:

@@ -6,6 +6,8 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import zenoh
+
 from armsight import topics
 from armsight.bus import Bus, Received
 from armsight.times import NS_PER_S, from_timestamp
@@ -17,6 +19,7 @@ from armsight.v1.safety_pb2 import StopState
 from armsight.v1.sim_pb2 import Clock
 from armsight_operator.metrics.counted import TOTALS_AMONG_GAUGES
 from armsight_operator.metrics.names import Ignored, Names
+from armsight_operator.metrics.routers import Router, ask_routers
 from armsight_operator.metrics.totals import Totals
 from armsight_operator.monitor import ServiceState, service_state, word
 from armsight_operator.trace.stages import STAGES, TOTAL, Frame, Stage, instants_of
@@ -92,6 +95,8 @@ class Observed:
     stopped_by: int | None
     drawn: float
     ignored: Mapping[str, int]
+    routers: tuple[Router, ...] = ()
+    """Those that answer; none where nobody may ask."""
 
 
 class Watch:
@@ -101,6 +106,7 @@ class Watch:
         """Has heard nothing yet."""
         self._lock = threading.Lock()
         self._bus: Bus | None = None
+        self._outside: zenoh.Session | None = None
         self._admitted = Names(MOST_SERVICES, SERVICES)
         self._services: dict[str, _Service] = {name: _Service() for name in SERVICES}
         self._stages = {stage.name: Buckets() for stage in STAMPED}
@@ -111,9 +117,14 @@ class Watch:
             dict.fromkeys(("service_name", "counter_name", "gauge_name", "gauge_value", "stage_time", "malformed"), 0)
         )
 
-    def listen(self, bus: Bus) -> None:
-        """Subscribes: small keys, no images, nothing that a service waits for."""
-        self._bus = bus
+    def listen(self, bus: Bus, outside: zenoh.Session | None = None) -> None:
+        """Subscribes: small keys, no images, nothing that a service waits for.
+
+        Args:
+            bus: the robot's.
+            outside: a session without a namespace, for what routers tell of themselves; none: nobody asks them.
+        """
+        self._bus, self._outside = bus, outside
         bus.subscriber(topics.HEALTH, "*", on_message=self.take_health)
         bus.subscriber(topics.JOINT_POSITIONS, keep=_KEEP, on_message=self.take_positions)
         bus.subscriber(topics.CONTROL_STATUS, keep=_KEEP, on_message=self.take_status)
@@ -121,8 +132,8 @@ class Watch:
         bus.subscriber(topics.STOP_STATE, on_message=self.take_stop)
 
     def leave(self) -> None:
-        """Asks a session that is about to close for nothing any more."""
-        self._bus = None
+        """Asks sessions that are about to close for nothing any more."""
+        self._bus = self._outside = None
 
     def connected(self) -> bool:
         """Whether there is a router."""
@@ -133,6 +144,7 @@ class Watch:
         """What is known now."""
         now = time.monotonic()
         connected, bus = self.connected(), self._bus
+        routers = self._routers() if connected else ()
         malformed = 0 if bus is None else sum(bus.counters.snapshot().values())
         with self._lock:
             fresh = self._status is not None and now - self._status.received_s < _FRESH_S
@@ -148,7 +160,17 @@ class Watch:
                 stopped_by=stopped_by,
                 drawn=self._drawn.totals.get("frames", 0.0),
                 ignored=dict(self._ignored) | {"malformed": malformed},
+                routers=routers,
             )
+
+    def _routers(self) -> tuple[Router, ...]:
+        outside = self._outside
+        if outside is None:
+            return ()
+        try:
+            return ask_routers(outside)
+        except zenoh.ZError:  # closed meanwhile
+            return ()
 
     def take_health(self, received: Received[Health]) -> None:
         """A service's health: its totals go on from what they were."""

@@ -27,6 +27,7 @@
 #include "service/reader.hpp"
 #include "service/rig.hpp"
 #include "service/session_config.hpp"
+#include "service/shared_memory.hpp"
 
 namespace armsight::vision::service {
 namespace {
@@ -41,11 +42,23 @@ constexpr milliseconds kRetry{100};
 constexpr milliseconds kProbe{3000};
 constexpr int kHintAfterAttempts = 4;
 
-std::optional<zenoh::Session> open_session(const zenoh::Config& config, const std::atomic<bool>& stop) {
+struct Opened {
+    zenoh::Session session;
+    bool shared_memory;
+};
+
+// Waits for the router. Goes without shared memory where that can't be had, and says why.
+std::optional<Opened> open_session(const Settings& settings, bool shared_memory, const std::atomic<bool>& stop) {
     zenoh::init_log();
+    std::string said;
     for (int attempt = 1; !stop; ++attempt) {
+        const std::string in_the_way = shared_memory ? why_no_shared_memory() : "";
+        if (!in_the_way.empty() && in_the_way != said) log_warning("no shared memory: " + in_the_way);
+        said = in_the_way;
+        const bool has_it = shared_memory && in_the_way.empty();
+        const zenoh::Config config = session_config(settings, has_it);
         try {
-            return zenoh::Session::open(config);
+            return Opened{zenoh::Session::open(config), has_it};
         } catch (const zenoh::ZException& error) {
             if (attempt % 20 == kHintAfterAttempts) {
                 log_warning(
@@ -321,18 +334,13 @@ void Service::report_health(SteadyTime now) {
 }  // namespace
 
 int run(const Settings& settings, const std::atomic<bool>& stop) {
-    const bool shared_memory = settings.shared_memory && may_lock(kSharedMemoryLockBytes);
-    if (settings.shared_memory && !shared_memory) {
-        log_warning("no shared memory: this process may lock too few bytes; raise `ulimit -l` to use it",
-                    {{"needed", kSharedMemoryLockBytes}});
-    }
-    const auto session = open_session(session_config(settings, shared_memory), stop);
-    if (!session) return 0;
+    auto opened = open_session(settings, settings.shared_memory, stop);
+    if (!opened) return 0;
     {
-        Service service(*session, settings, shared_memory);
+        Service service(opened->session, settings, opened->shared_memory);
         service.loop(stop);
     }
-    session->close();
+    opened->session.close();
     return 0;
 }
 
@@ -345,15 +353,15 @@ int probe(const Settings& settings) {
         late = true;
     });
     try {
-        const auto session = open_session(session_config(settings, false), late);
-        if (!session) throw std::runtime_error("no router within 3 s");
+        auto opened = open_session(settings, false, late);
+        if (!opened) throw std::runtime_error("no router within 3 s");
         std::string text;
         try {
-            (void)session->get(key_for(topics::kParametersQuery.key, "vision"), {}, kProbe);
+            (void)opened->session.get(key_for(topics::kParametersQuery.key, "vision"), {}, kProbe);
         } catch (const zenoh::ZException& error) {
             text = error.what();
         }
-        session->close();
+        opened->session.close();
         if (!text.empty()) throw std::runtime_error(text);
     } catch (const ConfigError&) {
         throw;

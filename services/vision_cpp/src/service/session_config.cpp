@@ -1,10 +1,8 @@
 #include "service/session_config.hpp"
 
-#include <sys/resource.h>
 #include <unistd.h>
 
 #include <filesystem>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <regex>
 #include <string>
@@ -14,17 +12,8 @@ namespace {
 
 using nlohmann::json;
 
-constexpr unsigned kCapIpcLock = 14;  // linux/capability.h
 // Zenoh's default of 2 loses a tenth of the frames at 30 Hz under load.
 constexpr int kDataLowQueue = 16;
-
-bool has_capability(unsigned number) {
-    std::ifstream status("/proc/self/status");
-    for (std::string line; std::getline(status, line);) {
-        if (line.starts_with("CapEff:")) return ((std::stoull(line.substr(7), nullptr, 16) >> number) & 1U) != 0;
-    }
-    return false;
-}
 
 // Files of TLS are named relative to the configuration, which so works wherever its folder is put. With one that is
 // missing Zenoh would try again for ever.
@@ -56,12 +45,6 @@ std::string reason(const zenoh::ZException& error) {
 }
 
 }  // namespace
-
-bool may_lock(std::uint64_t bytes) {
-    rlimit limit{};
-    if (getrlimit(RLIMIT_MEMLOCK, &limit) != 0) return false;
-    return limit.rlim_cur == RLIM_INFINITY || limit.rlim_cur >= bytes || has_capability(kCapIpcLock);
-}
 
 zenoh::Config session_config(const Settings& settings, bool shared_memory) {
     zenoh::Config config;
