@@ -87,7 +87,7 @@ SAYS: Mapping[str, str] = {
 QUIET = (". .venv/bin/activate",)
 
 # They take long, and are not run again where another page has run them.
-ONCE = ("armsight report --from run.mcap --out report-out",)
+ONCE = ("armsight report --from run.mcap --out report-out", "armsight export run.mcap --csv tables")
 
 # And what is then true.
 AFTER: "Mapping[str, Callable[[Rig, Path], None]]" = {
