@@ -16,7 +16,7 @@ INSTALLED := $(VENV)/.installed-in$(subst /,-,$(CURDIR))
 SOLVERS := services/control/armsight_control/solvers
 PYTEST_ARGS ?=
 
-.PHONY: help setup run test test-long lint format bench bench-vision bench-accuracy bench-ik bench-loop lock clean vision system
+.PHONY: help setup run test test-long lint format docs docs-serve docs-figures bench bench-vision bench-accuracy bench-ik bench-loop lock clean vision system
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -64,10 +64,21 @@ lint: setup  ## formatters, linters and type checkers, all of them
 	tools/lint.sh
 
 format: setup  ## rewrite everything the way lint wants it
-	$(BIN)/ruff check --fix $(PYTHON_PACKAGES) tests bench
-	$(BIN)/ruff format $(PYTHON_PACKAGES) tests bench
+	$(BIN)/ruff check --fix $(PYTHON_PACKAGES) tests bench tools docs
+	$(BIN)/ruff format $(PYTHON_PACKAGES) tests bench tools docs
 	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format -i
 	cargo fmt --manifest-path services/vision_cpp/zenoh_bridge/Cargo.toml
+
+# Material says at every build that it ends in May 2027; its successor, Zensical, reads the same mkdocs.yml.
+docs: export NO_MKDOCS_2_WARNING := 1
+docs: $(INSTALLED)  ## build the documentation's site into build/site; broken links fail
+	@$(BIN)/mkdocs build --strict # not --quiet: it hides warnings from --strict as well
+
+docs-serve: $(INSTALLED)  ## the same on http://127.0.0.1:8001, built anew at every change
+	$(BIN)/mkdocs serve --dev-addr 127.0.0.1:8001
+
+docs-figures: $(INSTALLED)  ## draw the figures of docs/explanation anew
+	$(BIN)/python docs/figures/draw.py
 
 bench: bench-vision bench-accuracy bench-ik bench-loop  ## every benchmark; results in bench/results
 

@@ -333,7 +333,7 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(compose: Compose, tmp_p
         )
 
 
-def test_the_recorder_is_well_and_what_it_recorded_stays(compose: Compose) -> None:
+def test_the_recorder_is_well_and_what_it_recorded_stays(compose: Compose, tmp_path: Path) -> None:
     words = ("--profile", "record")
     compose.wait_until_it_follows(60)
     try:
@@ -346,5 +346,7 @@ def test_the_recorder_is_well_and_what_it_recorded_stays(compose: Compose) -> No
         assert info["complete"], info["troubles"]
         assert info["lost"] == 0
         assert info["messages"] > 100
+        compose(*words, "cp", "recorder:/recordings", str(tmp_path))
+        assert list(tmp_path.rglob("*.mcap"))
     finally:
         compose(*words, "rm", "--stop", "--force", "recorder")

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from armsight import topics
 from armsight_operator.cli.app import main
 from armsight_operator.cli.reference import every_command, help_of
 
@@ -43,15 +44,21 @@ def test_help_that_is_asked_for_is_no_error(path: tuple[str, ...], capsys: pytes
     assert "Example: armsight" in out
 
 
-def test_the_page_of_commands_says_what_help_says() -> None:
-    spec = importlib.util.spec_from_file_location("cli_docs", ROOT / "tools" / "cli_docs.py")
+def test_the_generated_pages_say_what_help_and_contract_say() -> None:
+    spec = importlib.util.spec_from_file_location("reference_docs", ROOT / "tools" / "reference_docs.py")
     assert spec is not None
     assert spec.loader is not None
     tool = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = tool  # its dataclasses look for their module there
     spec.loader.exec_module(tool)
-    text = tool.PAGE.read_text(encoding="utf-8")
-    assert text == tool.page(text), "run `.venv/bin/python tools/cli_docs.py`"
-    assert all(f"### armsight {name}\n" in text for name in NAMES)
+    texts = {each.page.name: each.page.read_text(encoding="utf-8") for each in tool.PAGES}
+    for each in tool.PAGES:
+        text = texts[each.page.name]
+        assert text == each.text(text), f"{each.page.name}: run `.venv/bin/python tools/reference_docs.py`"
+    assert all(f"### armsight {name}\n" in texts["cli.md"] for name in NAMES)
+    keys = [topic.key for topic in topics.TOPICS] + [query.key for query in topics.QUERIES]
+    assert all(f"| `{key}` |" in texts["keys.md"] for key in keys)
+    assert "| `hold` = 3 | bool | An answer without motion: `joints` is ignored" in texts["messages.md"]
 
 
 def completed(*words: str) -> set[str]:
