@@ -1,9 +1,10 @@
 """From joint positions to joint angles, inverse kinematics and joint commands; usable without the bus.
 
->>> import numpy as np
->>> from armsight_control import Links, report_forward
->>> report_forward(Links(l1=4.0, l3=3.2, l4=2.8), np.zeros(3)).tolist()
-[0.0, 0.0, 10.0]
+Examples:
+    >>> import numpy as np
+    >>> from armsight_control import Links, report_forward
+    >>> report_forward(Links(l1=4.0, l3=3.2, l4=2.8), np.zeros(3)).tolist()
+    [0.0, 0.0, 10.0]
 """
 
 from armsight_control.chain import Chain, Point
