@@ -1,13 +1,14 @@
 """`armsight page`: serve the live web page."""
 
 import argparse
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from armsight.service import Context, run_service
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
-from armsight_operator.exposure import check_host_exposure
+
+if TYPE_CHECKING:
+    from armsight.service import Context
 
 DEFAULT_PORT = 7448
 
@@ -36,6 +37,8 @@ def page(
 
     Example: armsight page --port 8000
     """
+    from armsight_operator.exposure import check_host_exposure
+
     if not insecure_bind:
         check_host_exposure(host, "a page", "whoever opens it moves the arm", "come by `ssh -L`")
     arguments = argparse.Namespace(
@@ -46,9 +49,10 @@ def page(
 
 
 def _run(arguments: argparse.Namespace, host: str, port: int) -> int:
+    from armsight.service import run_service
     from armsight_operator.page.service import NAME, Settings
 
-    def body(context: Context) -> None:
+    def body(context: "Context") -> None:
         from armsight_operator.page.server import Server
         from armsight_operator.page.service import Page
 
