@@ -4,11 +4,14 @@ from collections.abc import Callable, Iterator
 from datetime import datetime
 
 import numpy as np
+import pytest
 
 from armsight.times import from_timestamp
 from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, JointPositions, MarkerPosition
 from armsight_sim.targets import visible_box, visible_sphere
 from rig import Rig
+
+pytestmark = pytest.mark.untimed
 
 START = "2024-05-01T12:00:00Z"
 FPS = 15

@@ -46,7 +46,7 @@ def uses_in_cpp(folder: Path) -> Uses:
         "publisher": r"declare_publisher\(\s*(?:key_for\()?topics::k(\w+)\.key",
         "subscriber": r"(?:readers_\.emplace_back\(session|make_unique<Reader>\(session_), topics::k(\w+)",
         "serve": r"declare_queryable\(key_for\(topics::k(\w+)Query",
-        "query": r"->get\(key_for\(topics::k(\w+)Query",
+        "query": r"(?:->|\.)get\(key_for\(topics::k(\w+)Query",
         "token": r"declare_token\(key_for\(topics::k(\w+)",
     }
     return {kind: {snake(name) for name in re.findall(pattern, text)} for kind, pattern in patterns.items()}

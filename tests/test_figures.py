@@ -9,6 +9,8 @@ import pytest
 import draw
 import paper
 
+pytestmark = pytest.mark.untimed
+
 EXPLANATION = paper.ROOT / "docs" / "explanation"
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 

@@ -2,7 +2,11 @@
 
 from collections.abc import Callable
 
+import pytest
+
 from rig import Rig
+
+pytestmark = pytest.mark.untimed
 
 START = "2024-05-01T12:00:00Z"
 INSTANTS = 60

@@ -33,6 +33,8 @@ from armsight_sim.targets import TARGETS
 from armsight_sim.world import load_model, longer_links
 from rig import Rig
 
+pytestmark = pytest.mark.untimed
+
 START = "2024-05-01T12:00:00Z"
 
 

@@ -9,6 +9,8 @@ import pytest
 
 from armsight_operator.stack.executables import find_executable
 
+pytestmark = pytest.mark.untimed
+
 SEED = 90125  # of the random poses; used nowhere in development
 
 

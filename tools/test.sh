@@ -14,15 +14,54 @@ check() { # check NAME COMMAND...
     echo "test: $name took $((SECONDS - started)) s"
 }
 
+beside() { # beside NAME COMMAND...: goes on while others are checked; what it says comes when it is waited for
+    local name=$1
+    shift
+    echo "test: $name, beside the next"
+    (
+        started=$SECONDS
+        "$@"
+        code=$?
+        echo "test: $name took $((SECONDS - started)) s"
+        exit "$code"
+    ) >"$logs/$name" 2>&1 &
+    background[$name]=$!
+}
+
+await() { # await NAME...
+    local name
+    for name in "$@"; do
+        [ -n "${background[$name]:-}" ] || continue
+        wait "${background[$name]}" || failed+=("$name")
+        echo "test: $name"
+        cat "$logs/$name"
+    done
+}
+
+declare -A background=()
+logs=$(mktemp -d)
+trap 'kill $(jobs -p) 2>/dev/null; rm -rf "$logs"' EXIT
+
+# What waits for containers, and what runs in its own time, leaves the processors to others.
+if docker info >/dev/null 2>&1 || [ -n "${ARMSIGHT_CI:-}" ]; then
+    beside docker "$bin/pytest" -q -m "docker and not long" tests
+else
+    echo "test: left out what needs a Docker daemon (tests marked docker): none is reachable here"
+fi
+beside untimed nice -n 15 "$bin/pytest" -q -m "untimed and not long" tests
 check "zenoh bridge (Rust)" cargo test --quiet --release --manifest-path services/vision_cpp/zenoh_bridge/Cargo.toml \
     --target-dir build/vision/cargo
 check "vision (C++)" ctest --test-dir build/vision --output-on-failure
 check "vision with sanitizers" tools/sanitize.sh
 check "vision fuzzed" tools/fuzz.sh 20
-for package in proto services/sim services/control services/operator; do
-    check "$package" "$bin/pytest" -q -m "not long" "$package/tests"
-done
-check "integration" "$bin/pytest" -q -m "not long and not docker and not browser" tests
+check "proto" "$bin/pytest" -q -m "not long" proto/tests
+check "services/sim" "$bin/pytest" -q -m "not long" services/sim/tests
+# they mostly wait: for processes, and for what must not happen
+check "services/control" "$bin/pytest" -q -m "not long" --numprocesses 2 --dist loadfile services/control/tests
+check "services/operator" "$bin/pytest" -q -m "not long" --numprocesses 4 --dist loadfile services/operator/tests
+await docker untimed
+# frames in real time: nothing beside
+check "integration" "$bin/pytest" -q -m "not long and not docker and not browser and not untimed" tests
 if [ -n "${ARMSIGHT_CI:-}" ]; then
     check "install a browser" tools/install-apt-packages.sh tools/apt-packages-browser.txt
 fi
@@ -31,11 +70,6 @@ if command -v chromium >/dev/null || [ -n "${ARMSIGHT_CI:-}" ]; then
 else
     echo "test: left out what needs Chromium (tests marked browser): tools/install-apt-packages.sh" \
         "tools/apt-packages-browser.txt installs it"
-fi
-if docker info >/dev/null 2>&1 || [ -n "${ARMSIGHT_CI:-}" ]; then
-    check "docker" "$bin/pytest" -q -m "docker and not long" tests
-else
-    echo "test: left out what needs a Docker daemon (tests marked docker): none is reachable here"
 fi
 
 if [ ${#failed[@]} -gt 0 ]; then
