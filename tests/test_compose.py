@@ -184,6 +184,10 @@ def test_memory_that_runs_out_in_one_container_is_its_own_affair(compose: Compos
 
 
 def test_two_robots_have_nothing_of_each_other(compose: Compose) -> None:
+    assert_two_robots_have_nothing_of_each_other(compose)
+
+
+def assert_two_robots_have_nothing_of_each_other(compose: Compose) -> None:
     compose("--profile", "two-robots", "up", "--detach", "--wait")
     try:
         compose.wait_until_it_follows(60)

@@ -11,7 +11,7 @@ from pathlib import Path
 from threading import Event
 
 import pytest
-from test_compose import BUILD_S, SECOND, Compose, docker
+from test_compose import BUILD_S, Compose, assert_two_robots_have_nothing_of_each_other, docker
 
 from armsight import topics
 from armsight.bus import Bus, open_bus
@@ -201,16 +201,7 @@ def test_nothing_listens_but_the_router_and_nobody_outside_reaches_it(secure: Co
 
 
 def test_two_robots_with_certificates(secure: Compose) -> None:
-    secure("--profile", "two-robots", "up", "--detach", "--wait")
-    try:
-        secure.wait_until_it_follows(60)
-        secure.wait_until_it_follows(60, SECOND)
-        secure("exec", "-T", "operator", "armsight", "mode", "hold", "--namespace", SECOND)
-        time.sleep(1.0)
-        assert secure.status(SECOND)["mode"] == "hold"
-        assert secure.wait_until_it_follows(60)["mode"] == "track"
-    finally:
-        secure("--profile", "two-robots", "rm", "--stop", "--force", "sim-2", "vision-2", "control-2")
+    assert_two_robots_have_nothing_of_each_other(secure)
 
 
 def test_two_machines_with_a_router_each(secure: Compose, certificates: Folder) -> None:
