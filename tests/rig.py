@@ -146,6 +146,9 @@ class Rig:
     def heard_of(self, service: str) -> bool:
         return service in self._health
 
+    def health(self, service: str) -> Health:
+        return self._health[service].message
+
     def counters(self, service: str) -> dict[str, int]:
         return dict(self._health[service].message.counters)
 

@@ -176,6 +176,35 @@ TEST(DecodeDescription, NeedsMarkersWithNamesAndRadii) {
     EXPECT_THROW((void)decode_description(bytes(message.SerializeAsString())), MalformedMessage);
 }
 
+TEST(DecodeDescription, SaysWhichMarkersNeverMove) {
+    auto message = description();
+    message.mutable_world_from_base()->mutable_translation()->set_z(0.5);
+    message.mutable_world_from_base()->mutable_rotation()->set_z(1.0);  // half a turn
+    message.clear_joints();
+    for (const char* name : {"first", "second"}) {
+        auto& joint = *message.add_joints();
+        joint.set_name(name);
+        joint.mutable_origin()->set_x(1.0);
+        joint.mutable_axis()->set_z(1.0);
+    }
+    const auto taken = [&](const std::string& joint, double x, double z) {
+        auto& centre = *message.mutable_markers(0)->mutable_centre();
+        centre.set_joint(joint);
+        centre.mutable_position()->set_x(x);
+        centre.mutable_position()->set_z(z);
+        return decode_description(bytes(message.SerializeAsString())).markers[0].fixed;
+    };
+    ASSERT_TRUE(taken("", 2.0, 3.0));
+    EXPECT_TRUE(taken("", 2.0, 3.0)->isApprox(Eigen::Vector3d(-2.0, 0.0, 3.5)));
+    ASSERT_TRUE(taken("first", 0.0, 3.0)) << "on the axis";
+    EXPECT_TRUE(taken("first", 0.0, 3.0)->isApprox(Eigen::Vector3d(-1.0, 0.0, 3.5)));
+    EXPECT_FALSE(taken("first", 0.1, 3.0)) << "beside the axis";
+    EXPECT_FALSE(taken("second", 0.0, 3.0));
+    EXPECT_FALSE(taken("", 1e9, 3.0));
+    message.mutable_world_from_base()->mutable_rotation()->set_z(3.0);
+    EXPECT_FALSE(taken("", 2.0, 3.0)) << "no rotation";
+}
+
 TEST(DecodeDescription, BodiesComeAfterTheMarkers) {
     auto message = description();
     auto& sphere = *message.add_bodies();

@@ -22,6 +22,7 @@ constexpr std::int64_t kNsPerS = 1'000'000'000;
 constexpr std::int64_t kMaxSeconds = std::numeric_limits<std::int64_t>::max() / kNsPerS - 1;
 constexpr int kMaxMarkers = 64;
 constexpr int kMaxCameras = 16;
+constexpr double kOnAxisMetres = 1e-3;
 constexpr double kMaxMetres = 1e4;  // farther than any camera of this use sees
 
 enum class WireType : std::uint32_t { Varint = 0, Fixed64 = 1, Length = 2, Fixed32 = 5 };
@@ -77,6 +78,24 @@ bool skip(google::protobuf::io::CodedInputStream& stream, Bytes payload, WireTyp
 }
 
 Eigen::Vector3d color_of(const v1::Color& color) { return {color.red(), color.green(), color.blue()}; }
+
+Eigen::Vector3d vector_of(const v1::Vector3& message) { return {message.x(), message.y(), message.z()}; }
+
+// Where a marker stays whatever the joints do: fixed to the base, or on the first joint's axis.
+std::optional<Eigen::Vector3d> fixed_place(const v1::ArmDescription& arm, const v1::Attachment& centre) {
+    Eigen::Vector3d place = vector_of(centre.position());
+    if (!centre.joint().empty()) {
+        if (arm.joints().empty() || centre.joint() != arm.joints(0).name()) return std::nullopt;
+        const Eigen::Vector3d axis = vector_of(arm.joints(0).axis());
+        if (!((place - place.dot(axis) * axis).norm() < kOnAxisMetres)) return std::nullopt;
+        place += vector_of(arm.joints(0).origin());
+    }
+    const auto& q = arm.world_from_base().rotation();
+    const Eigen::Quaterniond rotation(q.w(), q.x(), q.y(), q.z());
+    place = rotation.toRotationMatrix() * place + vector_of(arm.world_from_base().translation());
+    const bool is_sane = std::abs(rotation.norm() - 1.0) < 1e-3 && (place.array().abs() < kMaxMetres).all();
+    return is_sane ? std::optional(place) : std::nullopt;
+}
 
 MarkerModel decode_body(const v1::Body& body) {
     if (!is_name(body.name())) throw MalformedMessage("a body without a plain name");
@@ -208,8 +227,11 @@ Description decode_description(Bytes payload) {
         if (!(marker.radius_m() > 0.0) || marker.radius_m() > kMaxMetres) {
             throw MalformedMessage("marker '" + marker.name() + "' needs a positive radius");
         }
-        result.markers.push_back(
-            {.name = marker.name(), .radius = marker.radius_m(), .color = color_of(marker.color())});
+        result.markers.push_back({.name = marker.name(),
+                                  .radius = marker.radius_m(),
+                                  .color = color_of(marker.color()),
+                                  .shape = Shape::Sphere,
+                                  .fixed = fixed_place(message, marker.centre())});
     }
     for (const auto& body : message.bodies()) result.markers.push_back(decode_body(body));
     for (const auto& camera : message.cameras()) {

@@ -15,6 +15,7 @@
 #include <variant>
 
 #include "armsight/vision/backend.hpp"
+#include "armsight/vision/camera_check.hpp"
 #include "armsight/vision/pipeline.hpp"
 #include "service/annotations.hpp"
 #include "service/codec.hpp"
@@ -133,6 +134,8 @@ class Service {
     std::optional<Pipeline> pipeline_;
     SteadyTime answered_;
     Rate rate_;
+    CameraCheck camera_check_;
+    std::string camera_trouble_;
 
     ParameterServer parameters_;
     Tunables built_with_;
@@ -237,6 +240,8 @@ void Service::rebuild() {
         problem_ = error.what();
         return;
     }
+    camera_check_.reset();
+    camera_trouble_.clear();
     const bool same_cameras = std::ranges::equal(cameras_, cameras, {}, &Camera::name, &Camera::name);
     cameras_ = std::move(cameras);
     if (same_cameras) return;
@@ -278,11 +283,14 @@ void Service::answer(const Instant& instant) {
     const std::string payload = encode_positions(instant.capture_ns, estimates, stages).SerializeAsString();
     positions_.put(zenoh::as_bytes(payload));
     counters_.add("instants_answered");
+    if (frames.size() == cameras_.size()) camera_check_.add(estimates, markers_, cameras_);
     answered_ = steady_clock::now();
     const double ms = std::chrono::duration<double, std::milli>(answered_ - begun).count();
     if (const auto full = rate_.add(answered_, ms)) {
         health_.gauge("rate_hz", full->first);
         health_.gauge("process_ms", full->second);
+        for (const auto& [camera, px] : camera_check_.residuals_px()) health_.gauge("reprojection_px_" + camera, px);
+        camera_trouble_ = camera_check_.trouble();
     }
     annotate_for_listeners(instant, estimates);
 }
@@ -324,7 +332,7 @@ void Service::report_health(SteadyTime now) {
         }
     }
     if (gone.empty()) {
-        health_.report(v1::HEALTH_STATUS_OK);
+        health_.report(camera_trouble_.empty() ? v1::HEALTH_STATUS_OK : v1::HEALTH_STATUS_DEGRADED, camera_trouble_);
     } else {
         health_.report(v1::HEALTH_STATUS_DEGRADED,
                        "no frames from camera " + gone.front() + ": positions from the others");
