@@ -19,7 +19,7 @@ def conformance(rig: Rig, service: str, *flags: str) -> subprocess.CompletedProc
 
 @pytest.mark.parametrize(
     ("service", "options"),
-    [("control", {"extra": {"control": ["--solver", "closed-form"]}})],
+    [("vision", {}), ("control", {"extra": {"control": ["--solver", "closed-form"]}})],
     ids=lambda each: each if isinstance(each, str) else "",
 )
 def test_our_own_services_fulfil_the_contract(

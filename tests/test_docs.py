@@ -170,6 +170,8 @@ ELSEWHERE: Mapping[str, str] = {
             "armsight router --listen tcp/127.0.0.1:7450",
             "armsight-control --solver closed-form --connect tcp/127.0.0.1:7450",
             "armsight conformance control --connect tcp/127.0.0.1:7450",
+            "build/vision/armsight-vision --connect tcp/127.0.0.1:7450",
+            "armsight conformance vision --connect tcp/127.0.0.1:7450",
         ),
         "tests/test_conformance.py::test_our_own_services_fulfil_the_contract",
     ),

@@ -13,9 +13,6 @@ from armsight_operator.stack import free_port
 Results = dict[str, Result]
 Own = Callable[[Bus], object]
 
-_AT_A_TIME = 6
-"""They wait most of the time."""
-
 
 @contextmanager
 def router() -> Iterator[str]:
@@ -38,8 +35,8 @@ def place(endpoint: str, namespace: str) -> Iterator[Bus]:
         yield Bus(session)
 
 
-def results_of(service: str, cases: Mapping[Own, Sequence[str]]) -> dict[Own, Results]:
-    """What the suite finds of each service, asked only for the checks that are named with it."""
+def results_of(service: str, cases: Mapping[Own, Sequence[str]], at_a_time: int = 6) -> dict[Own, Results]:
+    """What the suite finds of each service, asked only for the checks that are named with it; they wait mostly."""
 
     def one(endpoint: str, index: int, own: Own, names: Sequence[str]) -> Results:
         namespace = f"robots/own{index}"
@@ -49,7 +46,7 @@ def results_of(service: str, cases: Mapping[Own, Sequence[str]]) -> dict[Own, Re
             del kept
             return found
 
-    with router() as endpoint, ThreadPoolExecutor(_AT_A_TIME) as pool:
+    with router() as endpoint, ThreadPoolExecutor(at_a_time) as pool:
         jobs = {own: pool.submit(one, endpoint, index, own, names) for index, (own, names) in enumerate(cases.items())}
         return {own: job.result() for own, job in jobs.items()}
 

@@ -20,6 +20,7 @@ _STYLES = {"passed": "green", "failed": "bold red", "not applicable": "blue"}
 class Service(StrEnum):
     """Which part of the loop it is."""
 
+    VISION = "vision"
     CONTROL = "control"
 
 
@@ -42,7 +43,7 @@ def conformance(
 
     Example: armsight conformance control --connect tcp/127.0.0.1:7447
 
-    Example: armsight conformance control --only malformed --json
+    Example: armsight conformance vision --only malformed --json
     """
     from armsight_operator.cli.bus import configuration, connected
     from armsight_operator.conformance import Outcome, run, suite_of

@@ -1,6 +1,6 @@
 """Whether a service on the bus fulfils the contract: the suite plays the other parts and judges what it says.
 
-``judge`` knows no bus: messages in, a fault out; ``station`` and ``control`` ask and listen.
+``judge``, ``scene`` and ``draw`` know no bus; ``station`` and a module for each kind of service ask and listen.
 """
 
 from armsight_operator.conformance.check import Check, Outcome, Result
