@@ -10,6 +10,9 @@ import pytest
 
 from rig import Rig
 
+SMALL = {"sim": ["--width", "320", "--height", "240"]}
+"""Frames that are drawn and read in time on a busy machine, too."""
+
 
 def conformance(rig: Rig, service: str, *flags: str) -> subprocess.CompletedProcess[str]:
     command = [str(Path(sys.executable).with_name("armsight")), "conformance", service, *flags]
@@ -19,8 +22,13 @@ def conformance(rig: Rig, service: str, *flags: str) -> subprocess.CompletedProc
 
 @pytest.mark.parametrize(
     ("service", "options"),
-    [("vision", {}), ("control", {"extra": {"control": ["--solver", "closed-form"]}})],
-    ids=lambda each: each if isinstance(each, str) else "",
+    [
+        ("vision", {}),
+        ("control", {"extra": {"control": ["--solver", "closed-form"]}}),
+        ("sim", {"clock": "lockstep", "extra": SMALL}),
+        ("sim", {"clock": "realtime", "extra": SMALL}),
+    ],
+    ids=["vision", "control", "sim-lockstep", "sim-realtime"],
 )
 def test_our_own_services_fulfil_the_contract(
     make_rig: Callable[..., Rig], service: str, options: dict[str, object]

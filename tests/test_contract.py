@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 SERVICE = ROOT / "services" / "vision_cpp" / "src" / "service"
 RECORDER = ROOT / "services" / "operator" / "armsight_operator" / "recording" / "recorder.py"
 CONFORMANCE = ROOT / "services" / "operator" / "armsight_operator" / "conformance"
-PLAYED = {"vision": ("sim",), "control": ("sim", "vision")}
+PLAYED = {"vision": ("sim",), "control": ("sim", "vision"), "sim": ("vision", "control")}
 PYTHON = {"sim": "services/sim/armsight_sim", "control": "services/control/armsight_control"}
 
 Uses = dict[str, set[str]]

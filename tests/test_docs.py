@@ -172,6 +172,8 @@ ELSEWHERE: Mapping[str, str] = {
             "armsight conformance control --connect tcp/127.0.0.1:7450",
             "build/vision/armsight-vision --connect tcp/127.0.0.1:7450",
             "armsight conformance vision --connect tcp/127.0.0.1:7450",
+            "armsight-sim --clock lockstep --connect tcp/127.0.0.1:7450",
+            "armsight conformance sim --connect tcp/127.0.0.1:7450",
         ),
         "tests/test_conformance.py::test_our_own_services_fulfil_the_contract",
     ),

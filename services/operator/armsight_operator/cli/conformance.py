@@ -22,6 +22,7 @@ class Service(StrEnum):
 
     VISION = "vision"
     CONTROL = "control"
+    SIM = "sim"
 
 
 def conformance(

@@ -1,8 +1,6 @@
 """Checks of a control: sim and vision are played by forward kinematics, in lockstep, where no answer is late."""
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
@@ -39,7 +37,7 @@ from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP, Clock
 from armsight_operator.conformance import judge, scene
 from armsight_operator.conformance.check import Check, UnfulfilledError, require
 from armsight_operator.conformance.scene import PERIOD_NS, Array, Scene
-from armsight_operator.conformance.station import ANSWER_S, DIRT, Station
+from armsight_operator.conformance.station import ANSWER_S, DIRT, Station, refused
 
 _SETTLE_S = 0.2
 """What is latched, a stop or a setpoint, has arrived after so long: 6 frames."""
@@ -343,7 +341,7 @@ class Loop:
             ("mode 99", unknown),
             ("joints without joints", SetModeRequest(mode=CONTROL_MODE_JOINTS)),
         ):
-            with _refused(f"{what} on control/mode"):
+            with refused(f"{what} on control/mode"):
                 self._bus.query(topics.MODE, request, timeout_s=ANSWER_S)
         kept = self._bus.query(topics.MODE, SetModeRequest(), timeout_s=ANSWER_S).mode
         require(kept == CONTROL_MODE_JOINTS, f"mode {kept} after a refusal", "the mode before")
@@ -362,7 +360,7 @@ class Loop:
             wanted = self.scene.jacobian(q).ravel()
             require(len(answer.jacobian) == len(wanted), f"{len(answer.jacobian)} numbers", "3 x joints, row by row")
             judge.check_near("Jacobian", np.array(answer.jacobian), wanted, 1e-4, "m/rad")
-        with _refused("a question without joints on control/forward_kinematics"):
+        with refused("a question without joints on control/forward_kinematics"):
             self._bus.query(topics.FORWARD_KINEMATICS, ForwardKinematicsRequest(), timeout_s=ANSWER_S)
 
     def solve_ik(self) -> None:
@@ -381,7 +379,7 @@ class Loop:
         self._check_solution(unsolved, far, 20.0)
         nowhere = SolveIkRequest(target=Vector3(x=float("nan")))
         for what, request in (("a target that is no number", nowhere), ("no target", SolveIkRequest())):
-            with _refused(f"{what} on control/solve_ik"):
+            with refused(f"{what} on control/solve_ik"):
                 self._bus.query(topics.SOLVE_IK, request, timeout_s=ANSWER_S)
 
     # --- what checks have in common
@@ -434,18 +432,6 @@ class Loop:
         seen = f"residual_m of {solved.residual_m:.4f}, while the tip is {off_m:.4f} m from the target"
         require(abs(solved.residual_m - off_m) < 1e-3, seen, "that distance")
         require(off_m <= within_m, f"the tip {off_m:.3f} m from the target", f"at most {within_m:g} m")
-
-
-@contextmanager
-def _refused(what: str) -> Iterator[None]:
-    try:
-        yield
-    except RefusedError as refused:
-        require(bool(str(refused)), f"{what} was refused without a text", "a text that says what is wrong")
-    except NoReplyError as error:
-        raise UnfulfilledError(str(error), "a refusal with a text") from error
-    else:
-        raise UnfulfilledError(f"{what} was taken", "a refusal with a text")
 
 
 def _angles(states: JointStates, names: tuple[str, ...]) -> Array:

@@ -1,12 +1,15 @@
 """Judging what a service said, without a bus: messages in; what the contract does not allow is raised."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
 from armsight.times import NS_PER_S, from_timestamp
+from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.health_pb2 import HEALTH_STATUS_UNSPECIFIED, Health
 from armsight.v1.joints_pb2 import JointCommand, StageTimes
 from armsight.v1.parameters_pb2 import Parameter, ParameterValue
@@ -174,9 +177,48 @@ def check_names(what: str, seen: Iterable[str], expected: Iterable[str]) -> None
     require(found == wanted, f"{what} {', '.join(found) or 'none'}", f"each once: {', '.join(wanted)}")
 
 
-def largest(angles: Mapping[str, float]) -> str:
-    """The name with the largest value, for a message."""
-    return max(angles, key=lambda name: abs(angles[name]))
+def check_description(arm: ArmDescription) -> None:
+    """A serial chain of revolute joints with markers, a tip and cameras, each of a name of its own."""
+    joints = [joint.name for joint in arm.joints]
+    for what, names in (
+        ("joints", joints),
+        ("markers", [marker.name for marker in arm.markers]),
+        ("cameras", list(arm.cameras)),
+    ):
+        require(bool(names) and all(names), f"{what} {names}", "some, each with a name")
+        require(len(set(names)) == len(names), f"{what} {', '.join(names)}", "each once")
+    turn = arm.world_from_base.rotation
+    _check_unit("world_from_base's rotation", (turn.w, turn.x, turn.y, turn.z))
+    for joint in arm.joints:
+        _check_unit(f"axis of {joint.name}", (joint.axis.x, joint.axis.y, joint.axis.z))
+        seen = f"{joint.name} from {joint.lower_rad:g} to {joint.upper_rad:g} rad at {joint.max_speed_rad_s:g} rad/s"
+        require(joint.lower_rad < joint.upper_rad and joint.max_speed_rad_s > 0, seen, "limits in order, and a speed")
+    for marker in arm.markers:
+        require(marker.radius_m > 0, f"{marker.name} with a radius of {marker.radius_m:g} m", "a radius above 0")
+    carriers = {marker.name: marker.centre.joint for marker in arm.markers} | {"tip": arm.tip.joint}
+    for name, carrier in carriers.items():
+        seen = f"{name} on {carrier!r}"
+        require(carrier in ("", *joints), seen, f"one of {', '.join(joints)}, or none for the base")
+
+
+def check_calibration(camera: str, calibration: CameraCalibration) -> None:
+    """A pinhole camera of some size."""
+    require(len(calibration.K) == 9, f"{len(calibration.K)} numbers in K of camera {camera}", "9")
+    fx, fy, size = calibration.K[0], calibration.K[4], (calibration.width, calibration.height)
+    require(fx > 0 and fy > 0, f"focal lengths {fx:g}, {fy:g} px of camera {camera}", "both above 0")
+    require(min(size) > 0, f"camera {camera} of {size[0]} x {size[1]}", "its size in pixels")
+
+
+def check_pose(camera: str, pose: FrameTransform) -> None:
+    """T_world_optical."""
+    require(pose.parent_frame_id == "world", f"camera {camera} in {pose.parent_frame_id!r}", "'world'")
+    turn = pose.rotation
+    _check_unit(f"rotation of camera {camera}", (turn.w, turn.x, turn.y, turn.z))
+
+
+def _check_unit(what: str, values: tuple[float, ...]) -> None:
+    length = float(np.linalg.norm(values))
+    require(abs(length - 1) < 1e-6, f"{what} has the length {length:.6f}", "1")
 
 
 def _rounded(values: Array) -> str:

@@ -2,7 +2,8 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import zenoh
 from google.protobuf.empty_pb2 import Empty
@@ -183,3 +184,20 @@ def drained(subscriber: Subscriber[M], quiet_s: float) -> list[M]:
     while (received := subscriber.recv(quiet_s)) is not None:
         found.append(received.message)
     return found
+
+
+@contextmanager
+def refused(what: str) -> Iterator[None]:
+    """A question within that must be refused, with a text.
+
+    Raises:
+        UnfulfilledError: it is answered, or nobody answers.
+    """
+    try:
+        yield
+    except RefusedError as refusal:
+        require(bool(str(refusal)), f"{what} was refused without a text", "a text that says what is wrong")
+    except NoReplyError as error:
+        raise UnfulfilledError(str(error), "a refusal with a text") from error
+    else:
+        raise UnfulfilledError(f"{what} was taken", "a refusal with a text")

@@ -7,7 +7,7 @@ from typing import Any
 
 from armsight.bus import Bus
 from armsight.errors import ArmsightError, ConfigError
-from armsight_operator.conformance import control, vision
+from armsight_operator.conformance import control, sim, vision
 from armsight_operator.conformance.check import Check, NotApplicableError, Outcome, Result, UnfulfilledError
 from armsight_operator.conformance.station import PRESENT_S, alive
 from armsight_operator.errors import OperatorError
@@ -47,6 +47,7 @@ class Suite:
 
 _SUITES = {
     "vision": Suite("vision", ("sim",), vision.CHECKS, vision.Frames),
+    "sim": Suite("sim", ("vision", "control"), sim.CHECKS, sim.Commander),
     "control": Suite("control", ("sim", "vision"), control.CHECKS, control.Loop),
 }
 PRESENT: Check[Any] = Check("present", "The service is on the bus, under this namespace.", "keys.md", lambda _: None)
