@@ -39,8 +39,11 @@ from armsight_operator.conformance.check import Check, UnfulfilledError, require
 from armsight_operator.conformance.scene import PERIOD_NS, Array, Scene
 from armsight_operator.conformance.station import ANSWER_S, DIRT, Station, refused
 
-_SETTLE_S = 0.2
-"""What is latched, a stop or a setpoint, has arrived after so long: 6 frames."""
+_SETTLE_S = 0.3
+"""What is latched, a stop or a setpoint, has arrived after so long: 9 frames."""
+
+_DESCRIBED_S = 5.0
+"""The description has been taken after so long."""
 
 _TAKEN_S = 0.05
 """A ring keeps one message: the next may come once that has been taken."""
@@ -84,6 +87,18 @@ class Loop:
     def close(self) -> None:
         """Takes sim and vision away."""
         self.station.close()
+
+    def settle(self) -> None:
+        """Waits until the description has arrived: before that a control may refuse anything."""
+        request = SetModeRequest(mode=CONTROL_MODE_JOINTS, joints=self._setpoints(self.q))
+        until = time.monotonic() + _DESCRIBED_S
+        while time.monotonic() < until:
+            try:
+                self._bus.query(topics.MODE, request, timeout_s=1.0)
+            except (NoReplyError, RefusedError):
+                time.sleep(0.05)
+            else:
+                return
 
     # --- what the suite does
 
@@ -132,6 +147,14 @@ class Loop:
             if received is not None and from_timestamp(received.message.capture_time) == capture_ns:
                 return received.message
         raise UnfulfilledError("no control/status for an instant that was answered", "one for each answer")
+
+    def _estimated(self) -> Array:
+        until = time.monotonic() + ANSWER_S
+        while (left_s := until - time.monotonic()) > 0:
+            received = self._estimates.recv(left_s)
+            if received is not None and from_timestamp(received.message.timestamp) == self._capture_ns:
+                return _angles(received.message, self.scene.names)
+        raise UnfulfilledError("no joints/estimated for an instant that was answered", "one for each answer")
 
     def _answer(self, commands: Subscriber[JointCommand], capture_ns: int) -> JointCommand:
         until = time.monotonic() + ANSWER_S
@@ -228,10 +251,9 @@ class Loop:
             goal = q + np.array([0.1, 0.0, 0.1, -0.1])
             self.mode(CONTROL_MODE_JOINTS, goal)
             self._go_to(goal, stray=(np.minimum(q, goal) - _STRAY_RAD, np.maximum(q, goal) + _STRAY_RAD))
-            estimated = self._estimates.latest
-            require(estimated is not None, "no joints/estimated", "one for each answer")
-            if estimated is not None:
-                judge.check_near("estimated", _angles(estimated.message, self.scene.names), self.q, 0.05, "rad")
+            shown = self.q
+            self.frame()
+            judge.check_near("estimated", self._estimated(), shown, _STRAY_RAD, "rad")
 
     def obeys_stop(self) -> None:
         """A stop means hold, until it is released."""

@@ -83,6 +83,9 @@ class Commander:
         """Takes control and vision away."""
         self.station.close()
 
+    def settle(self) -> None:
+        """Nothing need be waited for: the first frames are."""
+
     # --- what the suite does
 
     @property

@@ -30,7 +30,7 @@ class Suite:
     """The services in whose place the suite speaks."""
     checks: tuple[Check[Any], ...]
     player: Callable[[Bus], Any]
-    """Takes their place; has a ``station`` and a ``close``."""
+    """Takes their place; has a ``station``, and ``settle`` and ``close``."""
 
     def chosen(self, names: Sequence[str]) -> tuple[Check[Any], ...]:
         """Those of these names, in the suite's order; all where there is no name.
@@ -90,6 +90,7 @@ def run(
             for check in checks:
                 yield _result(check, Outcome.NOT_APPLICABLE, "nobody was there to ask")
             return
+        player.settle()
         for check in checks:
             on_begin(check.name)
             yield _tried(check, player)

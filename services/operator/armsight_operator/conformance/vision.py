@@ -74,6 +74,9 @@ class Frames:
         """Takes sim away."""
         self.station.close()
 
+    def settle(self) -> None:
+        """Nothing need be waited for: the first frames are."""
+
     # --- what the suite does
 
     def frame(self, balls: list[Ball], cameras: tuple[str, ...] = ("1", "2")) -> JointPositions:
