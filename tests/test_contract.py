@@ -14,6 +14,8 @@ from armsight.topics import EACH, QUERIES, TOPICS
 ROOT = Path(__file__).parents[1]
 SERVICE = ROOT / "services" / "vision_cpp" / "src" / "service"
 RECORDER = ROOT / "services" / "operator" / "armsight_operator" / "recording" / "recorder.py"
+CONFORMANCE = ROOT / "services" / "operator" / "armsight_operator" / "conformance"
+PLAYED = {"vision": ("sim",), "control": ("sim", "vision"), "sim": ("vision", "control")}
 PYTHON = {"sim": "services/sim/armsight_sim", "control": "services/control/armsight_control"}
 
 Uses = dict[str, set[str]]
@@ -85,7 +87,9 @@ def test_vision_does_what_the_table_says() -> None:
 
 
 def test_operator_does_nothing_that_the_table_denies() -> None:
-    own = set((ROOT / "services/operator/armsight_operator").rglob("*.py")) - {RECORDER}
+    own = set((ROOT / "services/operator/armsight_operator").rglob("*.py"))
+    # the recorder has rights of its own, and the suite speaks for the parts that it plays: below
+    own -= {RECORDER, *CONFORMANCE.rglob("*.py")}
     found, allowed = uses_in_python(*own), uses_in_table("operator")
     assert {"mode", "stop", "release", "reset"} <= found["query"]
     assert {kind: rows - allowed[kind] for kind, rows in found.items() if rows - allowed[kind]} == {}
@@ -103,6 +107,25 @@ def test_recorder_reads_everything_and_tells_of_itself_alone() -> None:
         "presence": set(),
     }
     assert uses_in_python(RECORDER) == {}
+
+
+@pytest.mark.parametrize(("judged", "played"), PLAYED.items())
+def test_conformance_suite_says_what_the_parts_that_it_plays_say_and_no_more(
+    judged: str, played: tuple[str, ...]
+) -> None:
+    # no role may do all this, so it needs a bus without certificates: nothing of the table is widened for it
+    found, operator = uses_in_python(CONFORMANCE / f"{judged}.py"), uses_in_table("operator")
+    said = set().union(*(uses_in_table(role)["publisher"] for role in played))
+    assert found["publisher"]
+    assert found["publisher"] <= said
+    assert found["serve"] == set()
+    assert found["subscriber"] <= operator["subscriber"]
+    assert found["query"] <= operator["query"]
+    shared = uses_in_python(*set(CONFORMANCE.glob("*.py")) - {CONFORMANCE / f"{each}.py" for each in PLAYED})
+    assert dict(shared) == {
+        "subscriber": {"health", "parameters"},
+        "query": {"parameters", "set_parameters"},
+    }
 
 
 def test_viewer_reads_what_operator_reads_and_changes_nothing_but_a_stop() -> None:

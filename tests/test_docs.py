@@ -164,6 +164,19 @@ ELSEWHERE: Mapping[str, str] = {
     " --connect tls/center.local:7447": LINKED,
     "armsight-sim --zenoh-config certs/sim/zenoh.json5 --target default": LINKED,
     "armsight-vision --zenoh-config certs/vision/zenoh.json5": LINKED,
+    # docs/own-part.md
+    **dict.fromkeys(
+        (
+            "armsight router --listen tcp/127.0.0.1:7450",
+            "armsight-control --solver closed-form --connect tcp/127.0.0.1:7450",
+            "armsight conformance control --connect tcp/127.0.0.1:7450",
+            "build/vision/armsight-vision --connect tcp/127.0.0.1:7450",
+            "armsight conformance vision --connect tcp/127.0.0.1:7450",
+            "armsight-sim --clock lockstep --connect tcp/127.0.0.1:7450",
+            "armsight conformance sim --connect tcp/127.0.0.1:7450",
+        ),
+        "tests/test_conformance.py::test_our_own_services_fulfil_the_contract",
+    ),
     # docs/recording.md
     "pip install 'armsight-operator[bridge]'": HERE + "test_bridge_is_an_extra_of_the_operator",
     "docker compose --profile record up --build --wait": COMPOSE
