@@ -14,6 +14,7 @@ from typer.main import get_command
 from armsight_operator.cli import (
     bridge,
     certs,
+    describe,
     doctor,
     export,
     metrics,
@@ -105,6 +106,7 @@ app.add_typer(topics.app, name="topics")
 app.add_typer(params.app, name="params")
 app.command("metrics")(metrics.metrics)
 app.command("doctor")(doctor.doctor)
+app.command("describe")(describe.describe)
 app.command("trace")(trace.trace)
 app.command("snapshot")(snapshot.snapshot)
 app.command("record")(record.record)
