@@ -1,4 +1,4 @@
-"""What tests of the second arm share: a stack with it, and what its cameras, estimates and truth said at each instant."""
+"""What tests of the second arm share: what its cameras, estimates and truth said at each instant of a stack with it."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
