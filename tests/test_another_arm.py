@@ -4,6 +4,9 @@ What is not of this arm must not be needed: every figure here is one that the fi
 """
 
 import json
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -23,7 +26,7 @@ from armsight.v1.parameters_pb2 import ParameterValue, SetParametersRequest
 from armsight.v1.sim_pb2 import ResetRequest
 from armsight_operator.page.scene import camera_view, scene_of
 from armsight_operator.picture import draw, take_views
-from armsight_operator.stack import Stack
+from armsight_operator.stack import Stack, free_port
 from rig import Rig, started
 
 ROOT = Path(__file__).parents[1]
@@ -166,6 +169,24 @@ def test_pictures_have_each_cameras_own_size_and_the_page_has_the_arm(five: Rig)
         view = camera_view(calibration.message, pose.message)
         assert view is not None
         assert view.aspect == pytest.approx(width / height)
+
+
+def test_up_runs_a_model(tmp_path: Path) -> None:
+    port = free_port()
+    armsight = str(Path(sys.executable).parent / "armsight")
+    words = [armsight, "up", "--model", str(FIVE), "--no-page", "--port", str(port), "--out", str(tmp_path)]
+    log = tmp_path / "said"
+    with log.open("wb") as out:
+        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT)
+    rig = Rig(Stack(out=tmp_path / "rig", port=port))
+    try:
+        rig.wait_until(lambda: "ready after" in log.read_text() or process.poll() is not None, 60, "it is ready")
+        assert described(rig)[0].name == "five", log.read_text()
+        rig.wait_until(rig.moving, 20, "the arm follows its target")
+    finally:
+        rig.close()
+        process.send_signal(signal.SIGINT)
+        process.wait(10)
 
 
 def test_services_chosen_for_the_first_arm_at_the_start_say_so(make_rig: Callable[..., Rig]) -> None:

@@ -1,8 +1,8 @@
 """Checks a model and says what it describes: `python -m armsight_sim.describe FILE`, which `armsight describe` asks.
 
-One JSON object: `findings`, each with `what`, `mend` and `breaks`, and where nothing breaks `description`, the protobuf's
-JSON, with the `resolutions` of cameras that have one. `unreadable` alone where there is no model to look at. The exit code
-is 0 all the same: it is the asker who judges.
+One JSON object: `findings`, each with `what`, `mend` and `breaks`; where nothing breaks `description`, the protobuf's
+JSON, and the `resolutions` of cameras that have one. `unreadable` alone where there is no model to look at. The exit
+code is 0 all the same: it is the asker who judges.
 """
 
 import json
