@@ -41,8 +41,8 @@ def arm(message: ArmDescription) -> Arm:
 @pytest.mark.parametrize("solver", ["torch", "levenberg-marquardt"])
 def test_solvers_reach_1000_random_targets(arm: Arm, solver: str) -> None:
     chain, rng = arm.chain, np.random.default_rng(SEED)
-    aims = forward(chain, rng.uniform(*chain.limits.T, (1000, chain.count)))
-    starts = rng.uniform(*chain.limits.T, (1000, chain.count))
+    aims = forward(chain, rng.uniform(chain.limits[:, 0], chain.limits[:, 1], (1000, chain.count)))
+    starts = rng.uniform(chain.limits[:, 0], chain.limits[:, 1], (1000, chain.count))
     found = solve_batch(solver, chain, aims, starts, tuple(range(chain.count)))
     tips = forward(chain, found.q)
     assert (np.linalg.norm(tips - aims, axis=1) < 5e-3).mean() >= 0.999
@@ -64,7 +64,7 @@ def test_an_aim_is_carried_on_with_all_joints(arm: Arm, choice: str) -> None:
     free = free_of(chain, choice)
     assert free == (0, 1, 2, 3, 4)
     for _ in range(20):
-        q = rng.uniform(*(0.6 * chain.limits).T)
+        q = rng.uniform(0.6 * chain.limits[:, 0], 0.6 * chain.limits[:, 1])
         point = Moving(forward(chain, q) + rng.normal(0, 0.01, 3), rng.normal(0, 0.1, 3))
         found = aim(chain, free, point, q, 1 / 30)
         assert found.reachable
