@@ -226,7 +226,10 @@ AROUND = """
 """
 
 
-def test_a_urdf_is_carried_as_far_as_it_says_and_completed_around_it(tmp_path: Path) -> None:
+def test_a_urdf_is_carried_as_far_as_it_says_and_completed_around_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # where MuJoCo logs that a prefix is empty
     (tmp_path / "carried.urdf").write_text(URDF)
     (tmp_path / "around.xml").write_text(AROUND)
     wrong = [finding.what for finding in findings(load_model(tmp_path / "carried.urdf")) if finding.breaks]
