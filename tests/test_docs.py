@@ -141,6 +141,8 @@ ELSEWHERE: Mapping[str, str] = {
     ".venv/bin/armsight-control --mode track --connect tcp/127.0.0.1:7447": HERE
     + "test_each_part_runs_in_a_terminal_of_its_own",
     ".venv/bin/armsight report --out report-out --quick": REPORT + "test_pictures_and_markdown_are_written",
+    # docs/own-arm.md
+    "armsight up --model services/sim/armsight_sim/models/five.xml": "tests/test_another_arm.py::test_up_runs_a_model",
     # docs/security.md
     "armsight up --certificates certs": CERTS + "test_commands_of_the_documentation_run_the_stack",
     "armsight status --zenoh-config certs/operator/zenoh.json5": CERTS

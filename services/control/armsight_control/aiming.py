@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from armsight_control.chain import Array, Chain
-from armsight_control.kinematics import forward, jacobian, links_of
-from armsight_control.nullspace import damped_inverse, null_motion
+from armsight_control.kinematics import forward, jacobian, links_of, links_of_report
+from armsight_control.nullspace import DAMPING_M, damped_inverse, null_motion
 from armsight_control.solvers import REPORT_FREE
 from armsight_control.solvers.closed_form import limits_of_report, solve_one
 from armsight_control.solvers.start import for_free
@@ -21,6 +21,7 @@ from armsight_control.solvers.workspace import nearest_reachable
 from armsight_control.tracking import Moving
 
 FREE_JOINTS = {"3": REPORT_FREE, "all": (0, 1, 2, 3)}
+"""Of the report's arm, by what is chosen; every other arm moves all its joints: :func:`free_of`."""
 
 NEAR_M = 1e-4
 """The tip is there: a tenth of what vision can tell."""
@@ -44,6 +45,11 @@ class Aim:
     """Whether the tip gets to the point asked for."""
 
 
+def free_of(chain: Chain, choice: str) -> tuple[int, ...]:
+    """The joints that may move for a target, by a key of :data:`FREE_JOINTS`."""
+    return FREE_JOINTS[choice] if links_of_report(chain) is not None else tuple(range(chain.count))
+
+
 def aim(chain: Chain, free: tuple[int, ...], point: Moving, start: Array, dt_s: float) -> Aim:
     r"""The configuration for a point in motion, near another configuration.
 
@@ -52,7 +58,7 @@ def aim(chain: Chain, free: tuple[int, ...], point: Moving, start: Array, dt_s: 
 
     Args:
         chain: the arm.
-        free: joints that may move; :data:`FREE_JOINTS`.
+        free: joints that may move; :func:`free_of`.
         point: base frame, metres and metres per second.
         start: the configuration to stay near to, all joints.
         dt_s: since that was aimed at: how long the null space may be used.
@@ -74,7 +80,7 @@ def aim(chain: Chain, free: tuple[int, ...], point: Moving, start: Array, dt_s: 
 
 def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> tuple[Array, float]:
     """A configuration near ``start`` with the tip at a point, or as near to it as it gets; and how far off that is."""
-    if free == REPORT_FREE:
+    if free == REPORT_FREE and links_of_report(chain) is not None:
         return _by_closed_form(chain, point, for_free(chain, start, free))
     q = chain.clip(start)
     columns = list(free)
@@ -83,7 +89,7 @@ def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> 
         off = float(np.linalg.norm(error))
         if off < NEAR_M / 10:
             break
-        step = damped_inverse(jacobian(chain, q)[:, columns]) @ error
+        step = damped_inverse(jacobian(chain, q)[:, columns], DAMPING_M * chain.scale) @ error
         step *= min(1.0, _LARGEST_STEP_RAD / max(float(np.abs(step).max()), 1e-12))
         better = False
         for share in (1.0, 0.5, 0.1):  # a full step beyond the edge of the workspace leads away

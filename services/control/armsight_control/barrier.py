@@ -17,6 +17,7 @@ from armsight_control.tracking import Moving
 # 1/s: at the speed limit, 1.5 rad/s, this brakes by 3 rad/s², half of what is allowed.
 _GAMMA = 2.0
 _ROUNDS = 30
+_ON_AXIS_M = 1e-3
 # What the projection may leave.
 _LEFT_M_S = 1e-3
 
@@ -55,13 +56,14 @@ class Allowed:
 
 
 def capsules_of(message: ArmDescription, chain: Chain) -> tuple[Capsule, ...]:
-    """The links that move in space: those on joints that the first one does not merely turn about their own axis."""
+    """The links that move in space: not those of the base, nor what joint 1 merely turns about their own axis."""
     found = []
     for link in message.links:
         joint = chain.names.index(link.joint) if link.joint in chain.names else -1
-        if joint > 0:
-            start = np.array([link.start.x, link.start.y, link.start.z])
-            end = np.array([link.end.x, link.end.y, link.end.z])
+        start = np.array([link.start.x, link.start.y, link.start.z])
+        end = np.array([link.end.x, link.end.y, link.end.z])
+        swings = max(float(np.linalg.norm(np.cross(chain.axes[0], at))) for at in (start, end)) > _ON_AXIS_M
+        if joint > 0 or (joint == 0 and swings):
             found.append(Capsule(joint, start, end, link.radius_m))
     return tuple(found)
 

@@ -44,8 +44,8 @@ def tip_by_markers(positions: Positions, along: Mapping[str, float], length4: fl
 
     Args:
         positions: of one instant.
-        along: markers on the last link's axis, name → metres from joint 4.
-        length4: of that link.
+        along: markers on one line with the tip, name → metres along it.
+        length4: of the tip, along the same line: of the report's arm the length of link 4.
     """
     names = sorted(along, key=lambda name: abs(along[name] - length4))
     nearest, farthest = names[0], names[-1]

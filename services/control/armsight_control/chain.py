@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_FIRST_ARM_M = 10.0
+
 
 @dataclass(frozen=True, slots=True)
 class Point:
@@ -52,6 +54,12 @@ class Chain:
     def count(self) -> int:
         """Number of joints."""
         return len(self.names)
+
+    @cached_property
+    def scale(self) -> float:
+        """Its length from joint 1 to the tip, stretched, as a share of the first arm's 10 m: what distances go by."""
+        lengths = np.linalg.norm(self.origins[1:], axis=1).sum() + np.linalg.norm(self.tip.position)
+        return float(lengths) / _FIRST_ARM_M
 
     def clip(self, q: Array) -> Array:
         """The nearest configuration within the limits."""

@@ -22,7 +22,8 @@ CORRECTION_TIME_S = 0.25
 _SIGMA_M = 0.03
 # Faster than this a delay that is wrong by 5 ms looks like an error of 5 mm.
 _SPEED_M_S = 1.5
-# No more than 2.5 % of the arm's reach of 6 m; what is farther off is no error of the model, the arm is blocked.
+# Of an arm of 10 m: no more than 2.5 % of its reach of 6 m; what is farther off is no error of the model, the arm is
+# blocked.
 MOST_M = 0.15
 _BLOCKED_M = 0.3
 
@@ -34,6 +35,7 @@ def corrected(
     speed_m_s: float,
     dt_s: float,
     time_s: float = CORRECTION_TIME_S,
+    scale: float = 1.0,
 ) -> Array:
     """The correction after one more instant, base frame, metres.
 
@@ -44,12 +46,13 @@ def corrected(
         speed_m_s: of the commanded tip.
         dt_s: since the last instant.
         time_s: in which a difference is taken over, all but a third.
+        scale: of the arm, :attr:`~armsight_control.chain.Chain.scale`.
     """
     if seen is None or seen.sigma_m > _SIGMA_M or speed_m_s > _SPEED_M_S:
         return correction
     difference = seen.position - commanded
-    if float(np.linalg.norm(difference)) > _BLOCKED_M:
+    if float(np.linalg.norm(difference)) > _BLOCKED_M * scale:
         return correction
     after = correction + (1 - math.exp(-dt_s / time_s)) * (difference - correction)
     size = float(np.linalg.norm(after))
-    return after * min(1.0, MOST_M / size) if size > 0 else after
+    return after * min(1.0, MOST_M * scale / size) if size > 0 else after

@@ -198,6 +198,27 @@ def links_of(chain: Chain) -> Links:
     return Links(*map(float, lengths))
 
 
+@lru_cache(maxsize=16)
+def links_of_report(chain: Chain) -> Links | None:
+    """The lengths of a chain of the report's shape; nothing for another."""
+    try:
+        return links_of(chain)
+    except UnsupportedArmError:
+        return None
+
+
+def need_report(chain: Chain, what: str, instead: str) -> Links:
+    """The lengths of a chain of the report's shape, for what is for that arm alone.
+
+    Raises:
+        UnsupportedArmError: it is another arm; says what does not apply, why, and what to use instead.
+    """
+    try:
+        return links_of(chain)
+    except UnsupportedArmError as error:
+        raise UnsupportedArmError(f"{what} does not apply to this arm: {error}; use {instead}") from None
+
+
 def report_forward(links: Links, q: Array) -> Array:
     r"""The report's K(q), section 4.1: the tip with joint 2 at 0.
 

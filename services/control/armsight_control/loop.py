@@ -33,14 +33,12 @@ from armsight_control.decision import Decision, blind_code
 from armsight_control.description import Arm, arm_of
 from armsight_control.errors import ControlError, PositionsError, SetpointError, SolverError
 from armsight_control.estimators import Estimate, Observer, all_joints, check_estimator, part1, part2
-from armsight_control.kinematics import links_of
 from armsight_control.modes import Mode
 from armsight_control.movement import MotionOptions, Movement
 from armsight_control.positions import (
     DistanceBounds,
     Positions,
     capture_of,
-    last_links_of,
     positions_of,
 )
 from armsight_control.setpoints import Setpoints, setpoint_of
@@ -81,6 +79,8 @@ class Loop:
         self._body: _Body | None = None
         self._unusable = "no description of the arm yet: is sim running?"
         self._description = b""
+        self._refused: ArmDescription | None = None
+        """The description of an arm that the estimator chosen is not for."""
         self._accepted: JointStates | None = None
         self._setpoints = Setpoints()
         self._stop: StopState | None = None
@@ -125,15 +125,14 @@ class Loop:
             if self._body is None:
                 self._unusable = f"the arm's description can't be used: {error}"
             return
-        self._description, self._body = serialised, None
+        self._description, self._body, self._refused = serialised, None, None
         self._setpoints.forget()
         self._movement.rest()
         try:
-            links_of(arm.chain)
-            links = last_links_of(arm)
-            self._body = _Body(arm, Observer(self._estimator, arm, links, self._counters), DistanceBounds(arm))
-            self._movement.describe(arm, links, message)
+            self._body = _Body(arm, Observer(self._estimator, arm, self._counters), DistanceBounds(arm))
+            self._movement.describe(arm, message)
         except ControlError as error:
+            self._refused = message
             self._counters.add("description_unsupported")
             self._unusable = f"this arm can't be controlled: {error}"
             return
@@ -175,15 +174,17 @@ class Loop:
         """Takes another way to go and another estimator, from the next answer on.
 
         Raises:
-            ControlError: no estimator of that name.
+            ControlError: no estimator of that name, or none for this arm.
         """
         if estimator != self._estimator:
-            self._estimator = check_estimator(estimator)
             body = self._body
             if body is not None:
-                observer = Observer(estimator, body.arm, last_links_of(body.arm), self._counters)
-                self._body = replace(body, observer=observer)
+                self._body = replace(body, observer=Observer(estimator, body.arm, self._counters))
+            self._estimator = check_estimator(estimator)
         self._movement.tune(motion)
+        if self._body is None and self._refused is not None:
+            refused, self._refused, self._description = self._refused, None, b""
+            self.describe(refused)
 
     def begin_anew(self) -> None:
         """Sim is another one than before: its time may begin anywhere."""
@@ -205,6 +206,10 @@ class Loop:
     def solved(self, target: Target, solution: Solution) -> None:
         """Takes a solution for a target."""
         self._movement.solved(target, solution)
+
+    def unsolved(self, why: str) -> None:
+        """Takes why a solver has no solution for a target."""
+        self._movement.unsolved(why)
 
     # --- the answer
 

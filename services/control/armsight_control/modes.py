@@ -18,6 +18,7 @@ from armsight.v1.control_pb2 import (
 from armsight.v1.joints_pb2 import JointSetpoint
 from armsight_control.chain import Array, Chain
 from armsight_control.errors import ModeError, SetpointError
+from armsight_control.kinematics import need_report
 from armsight_control.setpoints import configuration
 
 NAMES: dict[str, ControlMode] = {
@@ -56,11 +57,15 @@ def mode_of(request: SetModeRequest, chain: Chain | None) -> Mode:
     Raises:
         ModeError: an unknown mode, or one that can't be taken now.
         SetpointError: joints that this arm can't take.
+        UnsupportedArmError: a test of the report's arm, and this is another.
     """
     if request.mode not in NAMES.values():
         raise ModeError(f"no mode {request.mode}; there are {', '.join(NAMES)}")
     if not 0 <= request.start_s <= _MAX_START_S:
         raise ModeError(f"start_s {request.start_s:g} is not within 0 to {_MAX_START_S:g} s")
+    if request.mode in (CONTROL_MODE_TEST_1, CONTROL_MODE_TEST_2) and chain is not None:
+        name = "test-1" if request.mode == CONTROL_MODE_TEST_1 else "test-2"
+        need_report(chain, f"the mode {name}", "test-all")
     if request.mode != CONTROL_MODE_JOINTS:
         return Mode(request.mode, start_s=request.start_s)
     if chain is None:

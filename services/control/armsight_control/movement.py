@@ -4,6 +4,7 @@ Every setpoint is for the instant at which the arm will be there: the capture ti
 have lately taken to be in force. Targets and tests are asked for where they are at that instant.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -34,7 +35,7 @@ from armsight.v1.control_pb2 import (
 from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.joints_pb2 import JointPositions
 from armsight_control import safety
-from armsight_control.aiming import FREE_JOINTS, carried
+from armsight_control.aiming import FREE_JOINTS, carried, free_of
 from armsight_control.barrier import capsules_of
 from armsight_control.bodies import BodyNames, body_names
 from armsight_control.chain import Array
@@ -43,11 +44,11 @@ from armsight_control.decision import Decision, holding
 from armsight_control.description import Arm
 from armsight_control.detour import Detour, Detours
 from armsight_control.history import History
-from armsight_control.kinematics import forward, jacobian
+from armsight_control.kinematics import forward, jacobian, links_of_report
 from armsight_control.modes import AIMING, Mode
 from armsight_control.nullspace import smallest_singular_value
 from armsight_control.pointing import Pointing
-from armsight_control.positions import LastLinks, Positions
+from armsight_control.positions import Positions, TipLine, shoulder_of, tip_line_of
 from armsight_control.sight import Sight
 from armsight_control.solvers import Options, Problem, Solution
 from armsight_control.standoff import DISTANCE_M, beside, side_of
@@ -62,6 +63,7 @@ from armsight_control.trajectory import (
     State,
     Step,
     all_motion,
+    all_motion_of,
     along,
     at_rest,
     part1_motion,
@@ -84,7 +86,7 @@ class MotionOptions:
     """How the arm goes, beside its limits."""
 
     free_joints: str = "3"
-    """Of `track` and `follow`: ``3`` keeps joint 2 at 0 as the report does, ``all`` uses it."""
+    """Of `track` and `follow`: ``3`` keeps joint 2 at 0 as the report does, ``all`` uses it; other arms move all."""
     avoid_box: bool = False
     """Whether links keep away from the box that vision sees."""
     slow: float = 1.0
@@ -100,7 +102,11 @@ class Body:
     """The arm and what is derived from it once."""
 
     arm: Arm
-    last_links: LastLinks
+    tip_line: TipLine | None
+    shoulder: Array
+    """Where the part of the arm begins that moves in space, base frame."""
+    paths: Mapping[ControlMode, Path]
+    """Of the tests: those of this arm."""
     planner: Planner
     detours: Detours
     bodies: BodyNames
@@ -145,7 +151,7 @@ class _Way:
 class Movement:
     """State of the motion; nothing in here knows the bus or reads a clock."""
 
-    PATHS: ClassVar[dict[ControlMode, Path]] = {
+    PATHS: ClassVar[dict[ControlMode, Path]] = {  # of the report's arm
         CONTROL_MODE_TEST_1: part1_motion,
         CONTROL_MODE_TEST_2: part2_motion,
         CONTROL_MODE_TEST_ALL: all_motion,
@@ -190,12 +196,18 @@ class Movement:
         """What is taken off the point aimed at, base frame, metres."""
         return np.zeros(3) if self._body is None else self._body.sight.correction
 
-    def describe(self, arm: Arm, last_links: LastLinks, message: ArmDescription) -> None:
+    def describe(self, arm: Arm, message: ArmDescription) -> None:
         """Takes the arm; what was known of another one is forgotten."""
+        self._pointing.move(free_of(arm.chain, self._options.free_joints))
+        self._free = free_of(arm.chain, self._options.free_joints)
+        own = links_of_report(arm.chain) is not None
+        paths = self.PATHS if own else {CONTROL_MODE_TEST_ALL: all_motion_of(arm.chain.limits)}
+        line = tip_line_of(arm)
         planner = Planner(arm.chain, self._limits)
         detours = Detours(arm.chain, self._limits, planner, capsules_of(message, arm.chain))
         names = body_names(message)
-        self._body = Body(arm, last_links, planner, detours, names, Sight(arm, last_links, names, self._counters))
+        sight = Sight(arm, line, names, self._counters)
+        self._body = Body(arm, line, shoulder_of(arm.chain), paths, planner, detours, names, sight)
         self._target = self._track = None
         self._pointing.forget()
         self.begin_anew()
@@ -212,7 +224,8 @@ class Movement:
     def tune(self, options: MotionOptions) -> None:
         """Takes another way to go, from the next instant on; a setpoint in motion goes on from its state."""
         if options.free_joints != self._options.free_joints:
-            self._free = FREE_JOINTS[options.free_joints]
+            chain = None if self._body is None else self._body.arm.chain
+            self._free = FREE_JOINTS[options.free_joints] if chain is None else free_of(chain, options.free_joints)
             self._pointing.move(self._free)
         self._options = options
 
@@ -229,7 +242,7 @@ class Movement:
         self._now_ns = 0
         body = self._body
         if body is not None:
-            self._body = replace(body, sight=Sight(body.arm, body.last_links, body.bodies, self._counters))
+            self._body = replace(body, sight=Sight(body.arm, body.tip_line, body.bodies, self._counters))
         self.rest()
 
     def aim(self, message: Point3InFrame) -> None:
@@ -259,6 +272,10 @@ class Movement:
     def solved(self, target: Target, solution: Solution) -> None:
         """Takes a solution for a target."""
         self._pointing.solved(target, solution)
+
+    def unsolved(self, why: str) -> None:
+        """Takes why a solver has no solution for a target."""
+        self._pointing.refusal = why
 
     # --- one instant
 
@@ -321,7 +338,10 @@ class Movement:
         if self.mode == CONTROL_MODE_JOINTS and self._mode.goal is not None:
             return _Way(resting(self._mode.goal))
         if self.mode in self.PATHS:
-            goal, self._path = along(self.PATHS[self.mode], self._path, now.state, now.step)
+            path = now.body.paths.get(self.mode)
+            if path is None:
+                return holding("this test is a motion of the report's arm, not of this one: take test-all", "no_path")
+            goal, self._path = along(path, self._path, now.state, now.step)
             return _Way(goal, ends=False)
         if self.mode == CONTROL_MODE_TRACK:
             if self._track is None:
@@ -338,7 +358,7 @@ class Movement:
         centre = now.body.sight.sphere(now.step, now.effect_ns)
         if centre is None:
             return holding(f"{name} is not seen by any camera", "sphere_lost", SAFETY_CODE_BODY_LOST)
-        chain, shoulder = now.body.arm.chain, now.body.last_links.shoulder
+        chain, shoulder = now.body.arm.chain, now.body.shoulder
 
         def missed_m(point: Array) -> float:
             return carried(chain, self._free, point, now.state.position)[1]
@@ -356,7 +376,7 @@ class Movement:
         chain, present = now.body.arm.chain, now.state.position
         found = self._pointing.aim(chain, Moving(point.position - self.correction, point.velocity), now.step.dt_s)
         if found is None:
-            return holding("the solver has no answer yet")
+            return holding(self._pointing.refusal or "the solver has no answer yet")
         aim, switched = found
         reached = aim.tip + self.correction
         self.pointed = Pointed(point.position, reached, aim.reachable)
@@ -375,7 +395,7 @@ class Movement:
             Goal(aim.q, aim.velocity),
             detail,
             SAFETY_CODE_BRANCH_SWITCH if self._switching else SAFETY_CODE_OK,
-            safety.slow_for_singularity(nearness(present), lambda: nearness(aim.q)),
+            safety.slow_for_singularity(nearness(present), lambda: nearness(aim.q), chain.scale),
             near_rad=_SEEN_RAD,
             near_rad_s=_SEEN_RAD_S,
         )

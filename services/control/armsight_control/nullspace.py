@@ -10,8 +10,8 @@ import numpy as np
 from armsight_control.chain import Array, Chain
 from armsight_control.kinematics import jacobian
 
-# Metres per radian: below this a direction of the tip costs more joint speed than it is worth.
-_DAMPING_M = 0.05
+DAMPING_M = 0.05
+"""Metres per radian, of an arm of 10 m: below this a direction of the tip costs more joint speed than it is worth."""
 # The weight of singularities beside that of limits: to lose half of the best manipulability costs as much as a joint
 # half way to its limit.
 _SINGULAR_WEIGHT = 0.3
@@ -22,7 +22,7 @@ _RATE_RAD2_S = 0.5
 _MOST_RAD_S = 0.3
 
 
-def damped_inverse(by_joint: Array, damping_m: float = _DAMPING_M) -> Array:
+def damped_inverse(by_joint: Array, damping_m: float = DAMPING_M) -> Array:
     r"""The n x 3 inverse :math:`J^T (J J^T + \lambda^2 I)^{-1}` of a 3 x n Jacobian (Wampler, 1986; Nakamura, 1986).
 
     The damping grows from 0 only where the smallest singular value falls below ``damping_m``, so that away from

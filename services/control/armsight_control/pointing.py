@@ -13,6 +13,7 @@ from armsight.counters import Counters
 from armsight_control.aiming import BRANCH_RAD, Aim, aim
 from armsight_control.chain import Array, Chain
 from armsight_control.estimators.candidates import twins, within
+from armsight_control.kinematics import links_of_report
 from armsight_control.solvers import Options, Problem, Solution
 from armsight_control.solvers.start import perturbed
 from armsight_control.tracking import Moving, Target
@@ -54,6 +55,8 @@ class Pointing:
         """Of another target or mode: the branch is chosen anew."""
         self.solution: Solution | None = None
         self._solved: Solved | None = None
+        self.refusal = ""
+        """Why there is no solution, as far as the solver said."""
         self._aimed: Array | None = None
         self._descents = 0
 
@@ -76,6 +79,7 @@ class Pointing:
         """Takes a solution for a target."""
         self._counters.add(f"ik_{solution.status.name.lower()}")
         self._descents += 1
+        self.refusal = ""
         self._solved = Solved(target, solution)
         self.solution = solution
 
@@ -110,7 +114,9 @@ class Pointing:
         return found, switched
 
     def _twins(self, chain: Chain, point: Moving, dt_s: float, found: Aim) -> Iterator[Aim]:
-        """The same tip on the branch where joint 1 is half a turn away."""
+        """The same tip on the branch where joint 1 is half a turn away; other arms than the report's have none such."""
+        if links_of_report(chain) is None:
+            return
         for q in within(chain, twins(found.q)):
             yield aim(chain, self._free, point, q, dt_s)
 

@@ -12,6 +12,7 @@ is good and does no harm where it is not.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -33,13 +34,15 @@ from armsight_control.kinematics import frames, position
 _MAX_POSITION_M = 1e4
 # Lower than any camera's: a covariance of zero must not outweigh all else.
 _FLOOR_M = 1e-3
-# Distances may be off by this much beyond their own uncertainty: centroids of half-hidden spheres are off by up to
-# 0.11 m each. It is a guard against wild values, not a measure of quality.
+# Distances may be off by this much beyond their own uncertainty, of an arm of 10 m: centroids of half-hidden spheres
+# are off by up to 0.11 m each. It is a guard against wild values, not a measure of quality.
 _DISTANCE_SLACK_M = 0.25
 _DISTANCE_SIGMAS = 4.0
 # The tip must be known this well (one standard deviation) for the arm to be moved by sight.
 TIP_SIGMA_MAX_M = 0.5
 _FIT_STEPS = 3
+# Two markers that are nearer to one another than this show no direction.
+_LEAST_APART_M = 0.1
 
 _USABLE = (MARKER_STATUS_TRACKED, MARKER_STATUS_PARTLY_OCCLUDED, MARKER_STATUS_ONE_VIEW)
 
@@ -83,6 +86,16 @@ class LastLinks:
     length4: float
     along: Mapping[str, float]
     """Marker name → metres from joint 4 along link 4."""
+
+
+@dataclass(frozen=True, slots=True)
+class TipLine:
+    """The markers on one line with the tip, on its link: what shows where the tip is, whatever the angles."""
+
+    along: Mapping[str, float]
+    """Marker name → metres along the line."""
+    tip: float
+    """Of the tip, along the same line from the same point."""
 
 
 def capture_of(message: JointPositions) -> int:
@@ -137,12 +150,52 @@ def last_links_of(arm: Arm) -> LastLinks:
         for name, point in arm.markers.items()
         if point.joint == last and np.linalg.norm(point.position - (point.position @ axis) * axis) < _FLOOR_M
     }
-    if len(along) < 2 or max(along.values()) - min(along.values()) < 0.1:
+    if not _apart(along):
         raise UnsupportedArmError(f"two markers on the last link's axis are needed, the description has {list(along)}")
     shoulder = _fixed_origins(chain).get(last - 1)
     if shoulder is None:
         raise UnsupportedArmError("the joint before the last one moves in space: r3 can't be told from its end")
     return LastLinks(shoulder, float(np.linalg.norm(chain.origins[last])), length4, along)
+
+
+def tip_line_of(arm: Arm) -> TipLine | None:
+    """Finds two markers or more on one line with the tip; nothing where there are none.
+
+    The line through the joint is preferred: distances are from the joint then, as :class:`LastLinks` has them.
+    """
+    tip = arm.chain.tip
+    here = {name: point.position for name, point in arm.markers.items() if point.joint == tip.joint}
+    length = float(np.linalg.norm(tip.position))
+    if length > 0:
+        axis = tip.position / length
+        along = {
+            name: float(at @ axis) for name, at in here.items() if np.linalg.norm(at - (at @ axis) * axis) < _FLOOR_M
+        }
+        if _apart(along):
+            return TipLine(along, length)
+    for first, second in combinations(here.values(), 2):
+        apart = float(np.linalg.norm(second - first))
+        if apart < _FLOOR_M:
+            continue
+        axis = (second - first) / apart
+
+        def off(at: Array, start: Array = first, axis: Array = axis) -> float:
+            return float(np.linalg.norm(at - start - ((at - start) @ axis) * axis))
+
+        along = {name: float(at @ axis) for name, at in here.items() if off(at) < _FLOOR_M}
+        if off(tip.position) < _FLOOR_M and _apart(along):
+            return TipLine(along, float(tip.position @ axis))
+    return None
+
+
+def shoulder_of(chain: Chain) -> Array:
+    """The last joint's place, from the base on, that stays where it is whatever the angles; base frame, metres."""
+    fixed = _fixed_origins(chain)
+    return fixed[max(fixed)]
+
+
+def _apart(along: Mapping[str, float]) -> bool:
+    return len(along) > 1 and max(along.values()) - min(along.values()) >= _LEAST_APART_M
 
 
 def directions_of(positions: Positions, links: LastLinks) -> Directions:
@@ -188,6 +241,7 @@ class DistanceBounds:
 
     def __init__(self, arm: Arm) -> None:
         """Samples the arm's configurations, their corners included."""
+        self._slack_m = _DISTANCE_SLACK_M * arm.chain.scale
         rng = np.random.default_rng(0)
         lower, upper = arm.chain.limits.T
         middle = np.clip(0.0, lower, upper)
@@ -222,7 +276,7 @@ class DistanceBounds:
         distances = np.sqrt((between * between).sum(axis=1))
         spreads = ((covariances[first] + covariances[second]) @ between[:, :, None])[:, :, 0]
         sigmas = np.sqrt(np.maximum(0.0, (spreads * between).sum(axis=1))) / np.maximum(distances, 1e-9)
-        slack = _DISTANCE_SLACK_M + _DISTANCE_SIGMAS * sigmas
+        slack = self._slack_m + _DISTANCE_SIGMAS * sigmas
         # a marker that is not seen is nowhere, and no comparison with nowhere is true
         wrong = (distances < self._least - slack) | (distances > self._greatest + slack)
         if wrong.any():

@@ -34,6 +34,8 @@ class Pursuit:
         self._lock = lock
         self.solve_with(solver)
         self._job: tuple[Target, Future[Timed[Solution]]] | None = None
+        self.refusal = ""
+        """Why the solver had no solution for the last target; empty where it had one."""
         self._seconds: deque[float] = deque(maxlen=100)
         self._previous_capture_ns = 0
 
@@ -44,7 +46,7 @@ class Pursuit:
             SolverError: no solver of that name.
         """
         self.solvers.prepare(solver)
-        self._solver = solver
+        self._solver, self.refusal = solver, ""
 
     def gauges(self) -> dict[str, float]:
         """Current values for health."""
@@ -92,8 +94,13 @@ class Pursuit:
         self._job = None
         try:
             solved = future.result()
-        except ControlError:
-            return  # counted by its restarts, and said in health; asked again with the next positions
+        except ControlError as error:
+            # asked again with the next positions: a process that died starts again, another solver may be chosen
+            self.refusal = str(error)
+            with self._lock:
+                self._loop.unsolved(self.refusal)
+            return
+        self.refusal = ""
         self._seconds.append(solved.seconds)
         with self._lock:
             self._loop.solved(target, solved.solution)

@@ -22,6 +22,7 @@ from armsight.v1.control_pb2 import (
 )
 from armsight.v1.geometry_pb2 import Vector3
 from armsight.v1.joints_pb2 import JointSetpoint
+from armsight_control.aiming import free_of
 from armsight_control.chain import Array, Chain
 from armsight_control.description import vector3
 from armsight_control.errors import ModeError, SolverError
@@ -29,9 +30,9 @@ from armsight_control.kinematics import forward, jacobian
 from armsight_control.loop import Loop
 from armsight_control.modes import configuration_of, mode_of
 from armsight_control.settings import Settings
-from armsight_control.solvers import REPORT_FREE, Problem, Solution, Status, check_solver
+from armsight_control.solvers import REPORT_FREE, Problem, Solution, Status, check_applies, check_solver
 from armsight_control.solvers.process import S, Solvers, Timed
-from armsight_control.solvers.start import start, with_joint2_at_0
+from armsight_control.solvers.start import for_free, start
 from armsight_control.tracking import finite_target
 
 # Less than the 5 s that callers wait by default: they get our reason instead of silence.
@@ -79,6 +80,7 @@ class Queries:
         chain = self._chain()
         name = request.solver or self.settings.solver
         check_solver(name)
+        check_applies(name, chain)
         free = _free_of(request.free, chain)
         if request.targets:
             if request.HasField("target"):
@@ -117,7 +119,7 @@ class Queries:
     def _start(self, request: SolveIkRequest, chain: Chain) -> Array:
         if request.start:
             begin = configuration_of(request.start, chain)
-            return begin if request.free else with_joint2_at_0(chain, begin)
+            return begin if request.free else for_free(chain, begin, REPORT_FREE)
         return start(chain, self.settings.initialisation, self._previous, self._rng)
 
     def _await(self, future: "Future[Timed[S]]") -> "Timed[S]":
@@ -137,7 +139,7 @@ class Queries:
 
 def _free_of(names: Sequence[str], chain: Chain) -> tuple[int, ...]:
     if not names:
-        return REPORT_FREE
+        return free_of(chain, "3")
     unknown = [name for name in names if name not in chain.names]
     if unknown or len(set(names)) < len(names):
         said = f"no joint {unknown[0]!r}" if unknown else "one of them twice"

@@ -17,6 +17,7 @@ from armsight_control.trajectory import MotionLimits
 # Positions that waited longer in this process, by its own monotonic clock, say where the arm was, not where it is.
 MAX_AGE_S = 0.1
 
+# All distances are of an arm of 10 m, and smaller for a smaller one (Chain.scale).
 # How far the tip may be from where the setpoint puts it: at rest, and per metre per second that it may move at
 # (delays of camera, vision and actuators together).
 _ASTRAY_AT_REST_M = 0.5
@@ -70,7 +71,7 @@ def check_astray(chain: Chain, setpoint: Array, tip: Array, speed_share: float) 
     Raises:
         PositionsError: the tip is farther off than any delay explains.
     """
-    allowed = _ASTRAY_AT_REST_M + _ASTRAY_DELAY_S * speed_share * _fastest_tip_m_s(chain)
+    allowed = _ASTRAY_AT_REST_M * chain.scale + _ASTRAY_DELAY_S * speed_share * _fastest_tip_m_s(chain)
     off = math.dist(tip, forward(chain, setpoint))
     if off > allowed:
         raise PositionsError("astray", f"the tip is {off:.1f} m from where the setpoint puts it: is the arm blocked?")
@@ -79,8 +80,9 @@ def check_astray(chain: Chain, setpoint: Array, tip: Array, speed_share: float) 
 @lru_cache(maxsize=16)
 def _fastest_tip_m_s(chain: Chain) -> float:
     """More than the tip ever moves at, with every joint at its greatest speed."""
-    # joint 1 carries joint 2 on its own axis: what swings begins after it
-    reach = float(np.linalg.norm(chain.origins[2:], axis=1).sum() + np.linalg.norm(chain.tip.position))
+    # of the way to joint 2 only what is off joint 1's axis swings
+    off_axis = np.linalg.norm(np.cross(chain.axes[0], chain.origins[1])) if chain.count > 1 else 0.0
+    reach = float(off_axis + np.linalg.norm(chain.origins[2:], axis=1).sum() + np.linalg.norm(chain.tip.position))
     return float(chain.max_speed.max()) * reach
 
 
@@ -94,17 +96,23 @@ class Expected:
     """Instants in a row, up to this one, whose tip was not where it could have got to."""
 
 
-def expect(before: Expected | None, seen: Seen, commanded: Array) -> Expected:
+def expect(before: Expected | None, seen: Seen, commanded: Array, scale: float = 1.0) -> Expected:
     """Takes the tip of one more instant, and says where the innovation test stands.
 
     The tip is compared with where it was last believed to be, moved as it was commanded to: a marker that is taken for
     another jumps, whatever the arm does. The third surprise in a row is believed: the arm is there then.
+
+    Args:
+        before: the last instant; none at the start.
+        seen: the tip.
+        commanded: where it was to be.
+        scale: of the arm, :attr:`~armsight_control.chain.Chain.scale`.
     """
     if before is None:
         return Expected(seen, commanded)
     moved = commanded - before.commanded
     surprise = float(np.linalg.norm(seen.position - before.seen.position - moved))
-    allowed = _SURPRISE_M + _SURPRISE_SHARE * float(np.linalg.norm(moved))
+    allowed = _SURPRISE_M * scale + _SURPRISE_SHARE * float(np.linalg.norm(moved))
     allowed += _SURPRISE_SIGMAS * (seen.sigma_m + before.seen.sigma_m)
     if surprise <= allowed or before.surprises >= _SURPRISES:
         return Expected(seen, commanded)
@@ -121,14 +129,15 @@ def check_expected(expected: Expected) -> None:
         raise PositionsError("innovation", "the tip jumped: is a marker taken for another?")
 
 
-def slow_for_singularity(present_m: float, ahead_m: Callable[[], float]) -> float:
+def slow_for_singularity(present_m: float, ahead_m: Callable[[], float], scale: float = 1.0) -> float:
     """Share of the speed limits to keep to, by the Jacobian's smallest singular value now and where the arm goes.
 
     The way out of a singularity is free.
     """
-    if present_m >= _SINGULAR_FROM_M or ahead_m() >= present_m:
+    most_m, least_m = _SINGULAR_FROM_M * scale, _SINGULAR_TO_M * scale
+    if present_m >= most_m or ahead_m() >= present_m:
         return 1.0
-    into = (_SINGULAR_FROM_M - present_m) / (_SINGULAR_FROM_M - _SINGULAR_TO_M)
+    into = (most_m - present_m) / (most_m - least_m)
     return max(_SINGULAR_SHARE, 1.0 - (1.0 - _SINGULAR_SHARE) * into)
 
 

@@ -44,7 +44,7 @@ from armsight_control.modes import AIMING, NAMES, Mode
 from armsight_control.pursuit import Pursuit
 from armsight_control.queries import Queries
 from armsight_control.settings import Settings, parser, settings_of
-from armsight_control.solvers import check_solver
+from armsight_control.solvers import check_applies, check_solver
 from armsight_control.tuning import tunables, tuned
 
 # Without positions for this long the status says so, and again as often.
@@ -130,6 +130,8 @@ class Service:
             health.report(HEALTH_STATUS_DEGRADED, status.detail)
         elif solver.trouble:
             health.report(HEALTH_STATUS_DEGRADED, solver.trouble)
+        elif status.mode in AIMING and self._pursuit.refusal:
+            health.report(HEALTH_STATUS_DEGRADED, self._pursuit.refusal)
         elif status.mode in AIMING and solver.loading:
             health.report(HEALTH_STATUS_WAITING, "solver loading")
         else:
@@ -154,6 +156,9 @@ class Service:
     def _tune(self, values: Mapping[str, Value]) -> None:
         settings = tuned(self._queries.settings, values)
         with self._lock:
+            arm = self._loop.arm
+            if arm is not None and settings.solver != self._queries.settings.solver:
+                check_applies(settings.solver, arm.chain)
             self._loop.tune(settings.way, settings.estimator)
         self._pursuit.solve_with(settings.solver)
         self._queries.settings = settings

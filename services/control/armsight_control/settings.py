@@ -66,7 +66,8 @@ def parser() -> argparse.ArgumentParser:
         "--free-joints",
         choices=FREE_JOINTS,
         default=way.free_joints,
-        help="of track and follow: 3 keeps joint 2 at 0 as the report does, all uses it (default: %(default)s)",
+        help="of track and follow: 3 keeps joint 2 at 0 as the report does, all uses it; other arms than the report's "
+        "always use all (default: %(default)s)",
     )
     control.add_argument(
         "--avoid-box",

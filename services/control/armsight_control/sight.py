@@ -12,7 +12,7 @@ from armsight_control.bodies import BodyNames, seen, tip_by_markers
 from armsight_control.chain import Array
 from armsight_control.correction import corrected
 from armsight_control.description import Arm
-from armsight_control.positions import LastLinks, Positions
+from armsight_control.positions import Positions, TipLine
 from armsight_control.tracking import Moving, Track, observed, predicted
 from armsight_control.trajectory import Step
 
@@ -26,9 +26,9 @@ _MISTAKEN_S = 0.4
 class Sight:
     """Follows one arm's tip and the bodies beside it from instant to instant."""
 
-    def __init__(self, arm: Arm, last_links: LastLinks, names: BodyNames, counters: Counters) -> None:
-        """Has seen nothing yet."""
-        self._arm, self._last_links, self._names, self._counters = arm, last_links, names, counters
+    def __init__(self, arm: Arm, tip_line: TipLine | None, names: BodyNames, counters: Counters) -> None:
+        """Has seen nothing yet; without markers on one line with the tip nothing says where that is but the model."""
+        self._arm, self._tip_line, self._names, self._counters = arm, tip_line, names, counters
         self._sphere: Track | None = None
         self._box: Track | None = None
         self._expected: safety.Expected | None = None
@@ -54,16 +54,16 @@ class Sight:
         """
         self._sphere = self._watched(self._sphere, message, self._names.sphere, step)
         self._box = self._watched(self._box, message, self._names.box, step)
-        links = self._last_links
-        tip = tip_by_markers(positions, links.along, links.length4)
+        line, scale = self._tip_line, self._arm.chain.scale
+        tip = None if line is None else tip_by_markers(positions, line.along, line.tip)
         if tip is None:
             return
         speed = 0.0 if self._expected is None else float(np.linalg.norm(commanded - self._commanded)) / step.dt_s
         self._commanded = commanded
-        self._expected = safety.expect(self._expected, tip, commanded)
+        self._expected = safety.expect(self._expected, tip, commanded, scale)
         safety.check_expected(self._expected)
         if learn_s is not None:
-            self.correction = corrected(self.correction, tip, commanded, speed, step.dt_s, learn_s)
+            self.correction = corrected(self.correction, tip, commanded, speed, step.dt_s, learn_s, scale)
 
     def sphere(self, step: Step, effect_ns: int) -> Moving | None:
         """The sphere's centre in motion at an instant; nothing where it was not seen for too long."""

@@ -261,6 +261,33 @@ def all_motion(t: float) -> Array:
     return np.array([2, 1, 1, 1]) * [_sine(t, half_period) for half_period in half_periods] * (math.pi / 2)
 
 
+def all_motion_of(limits: Array) -> Path:
+    """All joints at once of any arm, each from limit to limit; as with :func:`all_motion` they never meet again.
+
+    Args:
+        limits: n x 2, radians: lower, upper.
+    """
+    lower, upper = limits.T
+    half_periods = [10 * math.sqrt(prime) for prime in _primes(len(limits))]
+
+    def motion(t: float) -> Array:
+        swings = np.array([_sine(t, half_period) for half_period in half_periods])
+        return np.asarray(np.clip((lower + upper) / 2 + swings * (upper - lower) / 2, lower, upper))
+
+    return motion
+
+
+def _primes(count: int) -> list[int]:
+    """From 2 on."""
+    found: list[int] = []
+    number = 2
+    while len(found) < count:
+        if all(number % prime for prime in found):
+            found.append(number)
+        number += 1
+    return found
+
+
 def _sine(t: float, half_period_s: float) -> float:
     return math.sin(math.pi * t / half_period_s)
 

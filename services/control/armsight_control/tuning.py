@@ -32,7 +32,10 @@ def tunables(settings: Settings) -> tuple[Tunable, ...]:
             choices=INITIALISATIONS,
         ),
         Tunable(
-            "free_joints", "of track and follow: 3 keeps joint 2 at 0", way.free_joints, choices=tuple(FREE_JOINTS)
+            "free_joints",
+            "of track and follow: 3 keeps joint 2 at 0; other arms move all",
+            way.free_joints,
+            choices=tuple(FREE_JOINTS),
         ),
         Tunable("avoid_box", f"keep every link {KEEP_M:g} m from the centre of the box", way.avoid_box),
         Tunable("standoff_m", "of the tip from the sphere in follow", way.standoff_m, "m", 0.5, 2.0),

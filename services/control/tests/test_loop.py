@@ -34,7 +34,7 @@ from armsight.v1.safety_pb2 import StopSource, StopState
 from armsight_control.answer import Answer
 from armsight_control.chain import Array
 from armsight_control.description import Arm
-from armsight_control.errors import ControlError, ModeError, SetpointError
+from armsight_control.errors import ControlError, ModeError, SetpointError, UnsupportedArmError
 from armsight_control.kinematics import forward
 from armsight_control.loop import Loop
 from armsight_control.modes import NAMES, Mode, mode_of
@@ -425,14 +425,22 @@ def test_mode_requests_are_checked_with_a_clear_text(arm: Arm) -> None:
         mode_of(request(CONTROL_MODE_JOINTS, **zeros), None)
 
 
-def test_an_arm_of_another_shape_is_refused_and_said(stack: Stack) -> None:
+@pytest.mark.parametrize("estimator", ["part1", "part2", "parts"])
+def test_an_arm_of_another_shape_is_refused_and_said_by_the_reports_estimators(stack: Stack, estimator: str) -> None:
     del stack.description.joints[1]
     for attached in (*stack.description.markers,):
         attached.centre.joint = "joint1" if attached.centre.joint == "joint2" else attached.centre.joint
+    stack.estimator = estimator
     stack.loop = stack.new_loop(stack.description)
     answer = stack.step()
     assert answer.command.hold
+    assert f"the estimator {estimator} does not apply" in answer.status.detail
     assert "four joints about z, y, x and y" in answer.status.detail
+    stack.loop.tune(MotionOptions(), "all")
+    assert stack.loop.arm is not None, "another estimator takes the arm that was refused"
+    with pytest.raises(UnsupportedArmError, match="does not apply"):
+        stack.loop.tune(MotionOptions(), estimator)
+    assert stack.loop.arm is not None
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=True)

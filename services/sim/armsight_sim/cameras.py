@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from armsight_sim.conventions import size_of
+
 Image = npt.NDArray[np.uint8]
 
 # Offsets into one long strip of noise: a prime, so that rows never line up.
@@ -23,7 +25,10 @@ def facet_shrinkage(slices: int, stacks: int) -> float:
 
 
 class Cameras:
-    """All cameras of a model, drawn one after the other in one OpenGL context. Use from one thread; close it."""
+    """All cameras of a model, drawn one after the other, in one OpenGL context for each size of picture.
+
+    Use from one thread; close it.
+    """
 
     def __init__(
         self,
@@ -35,13 +40,13 @@ class Cameras:
         *,
         emissive: bool = False,
     ) -> None:
-        """Allocates the context.
+        """Allocates the contexts.
 
         Args:
             model: left as it is.
             names: of the cameras to draw.
-            width: columns of every image.
-            height: rows of every image.
+            width: columns of the images of cameras whose `resolution` says nothing.
+            height: rows of these.
             samples: per pixel, 0 or 4 (software GL gives no more).
             emissive: spheres with a material shine evenly, whatever the light.
         """
@@ -49,17 +54,25 @@ class Cameras:
         drawn = copy.copy(model)
         drawn.vis.quality.offsamples = samples
         spheres = drawn.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
-        drawn.geom_size[spheres] /= facet_shrinkage(drawn.vis.quality.numslices, drawn.vis.quality.numstacks)
+        shrinkage = facet_shrinkage(drawn.vis.quality.numslices, drawn.vis.quality.numstacks)
+        drawn.geom_size[spheres] /= shrinkage
+        drawn.site_size[drawn.site_type == mujoco.mjtGeom.mjGEOM_SPHERE] /= shrinkage
         if emissive:
             materials = np.unique(drawn.geom_matid[spheres])
             drawn.mat_emission[materials[materials >= 0]] = 1.0
+        self.sizes = [picture_size(model, name, width, height) for name in names]
+        """Of the cameras' images in their order: columns and rows."""
+        buffer = drawn.vis.global_
+        buffer.offwidth = max(buffer.offwidth, *(columns for columns, _ in self.sizes))
+        buffer.offheight = max(buffer.offheight, *(rows for _, rows in self.sizes))
         self._drawn = drawn
-        self._renderer = mujoco.Renderer(drawn, height, width)
+        self._renderers = {size: mujoco.Renderer(drawn, size[1], size[0]) for size in dict.fromkeys(self.sizes)}
         self._options = mujoco.MjvOption()
         flags = mujoco.mjtRndFlag
         # shadows alone cost six times the rest; the backdrops stand in place of sky and haze
         for flag in (flags.mjRND_SHADOW, flags.mjRND_REFLECTION, flags.mjRND_HAZE, flags.mjRND_FOG, flags.mjRND_SKYBOX):
-            self._renderer.scene.flags[flag] = 0
+            for renderer in self._renderers.values():
+                renderer.scene.flags[flag] = 0
 
     def show_group(self, group: int) -> None:
         """Draws the geoms of one more group (the visible target's)."""
@@ -71,16 +84,23 @@ class Cameras:
 
     def draw(self, data: mujoco.MjData) -> list[Image]:
         """One rgb8 image for each camera, the top row first."""
-        return [self._draw(data, name) for name in self._names]
+        return [self._draw(data, name, size) for name, size in zip(self._names, self.sizes, strict=True)]
 
     def close(self) -> None:
-        """Frees the context; OSMesa's fails at exit when it is left to the interpreter."""
-        self._renderer.close()
+        """Frees the contexts; OSMesa's fail at exit when they are left to the interpreter."""
+        for renderer in self._renderers.values():
+            renderer.close()
 
-    def _draw(self, data: mujoco.MjData, name: str) -> Image:
-        self._renderer.update_scene(data, name, self._options)
-        image: Image = self._renderer.render()
+    def _draw(self, data: mujoco.MjData, name: str, size: tuple[int, int]) -> Image:
+        renderer = self._renderers[size]
+        renderer.update_scene(data, name, self._options)
+        image: Image = renderer.render()
         return image
+
+
+def picture_size(model: mujoco.MjModel, camera: str, width: int, height: int) -> tuple[int, int]:
+    """Columns and rows of a camera's images: what its `resolution` in the model says, else these."""
+    return size_of(model, model.camera(camera).id) or (width, height)
 
 
 class Noise:

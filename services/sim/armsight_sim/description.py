@@ -21,12 +21,17 @@ from armsight.v1.description_pb2 import (
     Marker,
 )
 from armsight.v1.geometry_pb2 import Quaternion, Transform, Vector3
+from armsight_sim import conventions
+from armsight_sim.anatomy import Element, Kind, Places, balls, drawn_links, pose_in_world, rotation_of, tip_of
 from armsight_sim.errors import ModelError
 
 Vector = npt.NDArray[np.float64]
 
 _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 _SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE
+_ROUND = tuple(map(int, (_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)))
+_LARGEST_LINK_M = 1e3
+"""A plane's box is larger."""
 _SHAPES = {int(_SPHERE): SHAPE_SPHERE, int(mujoco.mjtGeom.mjGEOM_BOX): SHAPE_BOX}
 
 
@@ -34,40 +39,34 @@ def describe_arm(model: mujoco.MjModel, with_bodies: bool = False) -> ArmDescrip
     """The description of the arm in its model, and of the bodies that move by themselves beside it when they are drawn.
 
     Raises:
-        ModelError: the model does not follow the conventions of models/arm.xml.
+        ModelError: the model does not follow the conventions; with everything that has to be mended.
     """
-    first_body = int(model.jnt_bodyid[0])
-    if model.body_parentid[first_body] != 0:
-        raise ModelError("the first joint's body must be a child of the world")
-    base = model.body_pos[first_body]
+    conventions.check(model)
+    places, speeds = Places(model), conventions.max_speeds(model)
+    tip = tip_of(model)
+    assert tip is not None
     description = ArmDescription(
         name=model.names.split(b"\0", 1)[0].decode(),
-        world_from_base=Transform(translation=_vector3(base), rotation=Quaternion(w=1.0)),
-        joints=[_joint(model, index) for index in range(model.njnt)],
-        tip=_attachment(model, int(model.site("tip").bodyid[0]), model.site("tip").pos, base),
+        world_from_base=Transform(translation=_vector3(places.p_world_base), rotation=_quaternion(places.R_world_base)),
+        joints=[_joint(model, places, speeds, index) for index in range(model.njnt)],
+        tip=_attachment(model, places, *tip),
         cameras=camera_names(model),
     )
-    for index in range(model.ngeom):
-        name = model.geom(index).name
-        body = int(model.geom_bodyid[index])
-        if name.startswith("marker_"):
-            if model.geom_type[index] != _SPHERE:
-                raise ModelError(f"{name} must be a sphere")
-            description.markers.append(
-                Marker(
-                    name=name.removeprefix("marker_"),
-                    centre=_attachment(model, body, model.geom_pos[index], base),
-                    radius_m=model.geom_size[index, 0],
-                    color=_color(model, index),
-                )
+    for ball in balls(model):
+        position, size = _of(model, ball)
+        description.markers.append(
+            Marker(
+                name=ball.name,
+                centre=_attachment(model, places, ball.body, position),
+                radius_m=size[0],
+                color=_color(model, ball),
             )
-        elif name == "base" or name.startswith("link_"):
-            description.links.append(_link(model, index, base))
+        )
+    for link in drawn_links(model):
+        description.links.extend(_link(model, places, link))
     if with_bodies:
         moved = [i for i in range(model.ngeom) if model.body_mocapid[model.geom_bodyid[i]] >= 0]
         description.bodies.extend(_body(model, index) for index in moved)
-    if len({marker.name for marker in description.markers}) != len(description.markers) or not description.markers:
-        raise ModelError("the model needs markers, each with a name of its own")
     return description
 
 
@@ -96,12 +95,17 @@ def calibration(model: mujoco.MjModel, camera: str, width: int, height: int, sta
 def camera_pose(model: mujoco.MjModel, camera: str, stamp_ns: int) -> FrameTransform:
     """T_world_optical of a camera: x right, y down, z into the scene (MuJoCo's own looks along −z with y up)."""
     index = model.camera(camera).id
-    turned = np.zeros(4)
+    turned, position = np.zeros(4), model.cam_pos[index]
     mujoco.mju_mulQuat(turned, model.cam_quat[index], np.array([0.0, 1.0, 0.0, 0.0]))  # half a turn about x
+    if model.cam_bodyid[index] != 0:
+        stands, rotation = pose_in_world(model, int(model.cam_bodyid[index]))
+        position, body, own = stands + rotation @ position, np.zeros(4), turned.copy()
+        mujoco.mju_mat2Quat(body, rotation.ravel())
+        mujoco.mju_mulQuat(turned, body, own)
     pose = FrameTransform(
         timestamp=to_timestamp(stamp_ns), parent_frame_id="world", child_frame_id=optical_frame(camera)
     )
-    pose.translation.x, pose.translation.y, pose.translation.z = model.cam_pos[index]
+    pose.translation.x, pose.translation.y, pose.translation.z = position
     pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z = turned
     return pose
 
@@ -111,54 +115,58 @@ def optical_frame(camera: str) -> str:
     return f"camera_{camera}_optical"
 
 
-def _joint(model: mujoco.MjModel, index: int) -> Joint:
-    body = int(model.jnt_bodyid[index])
-    if index > 0 and model.body_parentid[body] != model.jnt_bodyid[index - 1]:
-        raise ModelError(f"{model.joint(index).name} must be a child of {model.joint(index - 1).name}: a serial chain")
-    if np.any(model.jnt_pos[index] != 0) or np.any(model.body_quat[body] != (1, 0, 0, 0)):
-        raise ModelError(f"{model.joint(index).name} must be at its body's origin, unturned at angle 0")
+def _joint(model: mujoco.MjModel, places: Places, speeds: Vector, index: int) -> Joint:
     lower, upper = model.jnt_range[index]
     return Joint(
         name=model.joint(index).name,
-        # the base frame is the first joint's frame
-        origin=_vector3(model.body_pos[body] if index > 0 else np.zeros(3)),
-        axis=_vector3(model.jnt_axis[index]),
+        origin=_vector3(places.origins[index]),
+        axis=_vector3(places.axes[index]),
         lower_rad=lower,
         upper_rad=upper,
-        max_speed_rad_s=model.jnt_user[index, 0],
+        max_speed_rad_s=speeds[index],
     )
 
 
-def _attachment(model: mujoco.MjModel, body: int, position: Vector, base: Vector) -> Attachment:
-    joint = _joint_of_body(model, body)
-    return Attachment(joint=joint, position=_vector3(position if joint else position - base))
+def _attachment(model: mujoco.MjModel, places: Places, body: int, position: Vector) -> Attachment:
+    joint, place = places.attached(body, position)
+    return Attachment(joint=model.joint(joint).name if joint >= 0 else "", position=_vector3(place))
 
 
-def _joint_of_body(model: mujoco.MjModel, body: int) -> str:
-    joints = [model.joint(index).name for index in range(model.njnt) if model.jnt_bodyid[index] == body]
-    if body != 0 and len(joints) != 1:
-        raise ModelError(f"body {model.body(body).name} must have one joint; it has {len(joints)}")
-    return joints[0] if joints else ""
+def _of(model: mujoco.MjModel, element: Element) -> tuple[Vector, Vector]:
+    """Position in its body, and size, of an element."""
+    if element.kind is Kind.GEOM:
+        return model.geom_pos[element.index], model.geom_size[element.index]
+    return model.site_pos[element.index], model.site_size[element.index]
 
 
-def _link(model: mujoco.MjModel, index: int, base: Vector) -> LinkShape:
-    if model.geom_type[index] != _CYLINDER:
-        raise ModelError(f"{model.geom(index).name} must be a cylinder")
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.geom_quat[index])
-    radius, half_length, _ = model.geom_size[index]
-    half = rotation.reshape(3, 3)[:, 2] * half_length
-    body = int(model.geom_bodyid[index])
-    start = _attachment(model, body, model.geom_pos[index] - half, base)
-    end = _attachment(model, body, model.geom_pos[index] + half, base)
-    return LinkShape(
-        name=model.geom(index).name.removeprefix("link_"),
-        joint=start.joint,
-        start=start.position,
-        end=end.position,
-        radius_m=radius,
-        color=_color(model, index),
-    )
+def _link(model: mujoco.MjModel, places: Places, element: Element) -> list[LinkShape]:
+    """The cylinder that is a geom, or that is around it; none for what has no size, such as a plane."""
+    index, kind = element.index, model.geom_type[element.index]
+    if kind == _CYLINDER:
+        radius, half_length, _ = model.geom_size[index]
+        centre, axis = model.geom_pos[index], rotation_of(model.geom_quat[index])[:, 2]
+    else:
+        # the box around it, in the geom's frame: its longest side is the cylinder's axis
+        middle, halves = model.geom_aabb[index, :3], model.geom_aabb[index, 3:]
+        if not (0 < halves.max() < _LARGEST_LINK_M):
+            return []
+        rotation, along = rotation_of(model.geom_quat[index]), int(np.argmax(halves))
+        centre, axis, half_length = model.geom_pos[index] + rotation @ middle, rotation[:, along], halves[along]
+        across = np.delete(halves, along)
+        radius = float(across.max() if int(kind) in _ROUND else np.hypot(*across))
+    half = axis * half_length
+    start = _attachment(model, places, element.body, centre - half)
+    end = _attachment(model, places, element.body, centre + half)
+    return [
+        LinkShape(
+            name=element.name,
+            joint=start.joint,
+            start=start.position,
+            end=end.position,
+            radius_m=radius,
+            color=_color(model, element),
+        )
+    ]
 
 
 def _body(model: mujoco.MjModel, index: int) -> Body:
@@ -166,13 +174,20 @@ def _body(model: mujoco.MjModel, index: int) -> Body:
     if shape is None:
         raise ModelError(f"{name} must be a sphere or a box")
     radius = model.geom_size[index, 0] if shape == SHAPE_SPHERE else 0.0
-    return Body(name=name, shape=shape, radius_m=radius, color=_color(model, index))
+    element = Element(Kind.GEOM, index, name, name, int(model.geom_bodyid[index]))
+    return Body(name=name, shape=shape, radius_m=radius, color=_color(model, element))
 
 
-def _color(model: mujoco.MjModel, geom: int) -> Color:
-    material = int(model.geom_matid[geom])
-    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
-    return Color(red=rgba[0], green=rgba[1], blue=rgba[2])
+def _color(model: mujoco.MjModel, element: Element) -> Color:
+    red, green, blue = conventions.color_of(model, element)
+    return Color(red=red, green=green, blue=blue)
+
+
+def _quaternion(rotation: Vector) -> Quaternion:
+    found = np.zeros(4)
+    mujoco.mju_mat2Quat(found, rotation.ravel())
+    w, x, y, z = found
+    return Quaternion(w=w, x=x, y=y, z=z)
 
 
 def _vector3(values: Vector) -> Vector3:

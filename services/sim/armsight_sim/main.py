@@ -8,7 +8,7 @@ from armsight.service import EXIT_CONFIG, Context, run_service
 from armsight.v1.health_pb2 import HEALTH_STATUS_WAITING
 from armsight_sim.errors import PoseError
 from armsight_sim.gl import choose_gl
-from armsight_sim.settings import argument_parser, parse_settings
+from armsight_sim.settings import Settings, argument_parser, parse_settings
 
 log = logging.getLogger(__name__)
 
@@ -19,8 +19,8 @@ def main() -> int:
     try:
         settings = parse_settings(arguments)
         gl = "" if arguments.health else choose_gl()
-        if gl and settings.pose:
-            check_pose(settings.pose)
+        if gl:
+            check_model(settings)
     except ArmsightError as error:
         print(f"sim: {error}", file=sys.stderr)
         return EXIT_CONFIG
@@ -35,19 +35,27 @@ def main() -> int:
     return run_service("sim", arguments, settings, body, shared_memory="publish")
 
 
-def check_pose(pose: tuple[float, ...]) -> None:
-    """Refuses a start pose that the arm can't take, before anything is on the bus.
+def check_model(settings: Settings) -> None:
+    """Refuses a model, a target or a start pose that can't be used, before anything is on the bus.
 
     Raises:
-        ConfigError: as many angles as joints are needed, each within its limits.
+        ModelError: the model does not follow the conventions.
+        ConfigError: the target needs bodies that the model hasn't; not one angle for each joint, within its limits.
     """
+    if settings.model is None and not settings.pose:
+        return  # what this package ships is tested
+    from armsight_sim.tip_path import check_target
     from armsight_sim.world import World, load_model  # imports MuJoCo: not before choose_gl
 
-    world = World(load_model(), 1.0)
-    if len(pose) != len(world.joint_names):
-        raise ConfigError(f"--pose has {len(pose)} angles; this arm has {', '.join(world.joint_names)}")
+    model = load_model(settings.model)
+    world = World(model, 1.0)
+    check_target(model, settings.target)
+    if not settings.pose:
+        return
+    if len(settings.pose) != len(world.joint_names):
+        raise ConfigError(f"--pose has {len(settings.pose)} angles; this arm has {', '.join(world.joint_names)}")
     try:
-        world.within_limits(pose)
+        world.within_limits(settings.pose)
     except PoseError as error:
         raise ConfigError(f"--pose: {error}") from error
 

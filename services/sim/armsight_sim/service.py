@@ -27,14 +27,15 @@ from armsight.v1.joints_pb2 import JointCommand
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, StopRequest, StopResponse
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP, CLOCK_MODE_REALTIME, Clock, ResetRequest, ResetResponse
 from armsight_sim import description
-from armsight_sim.cameras import Cameras, Noise
+from armsight_sim.cameras import Cameras, Noise, picture_size
 from armsight_sim.clock import ClockMode, Instants, Lockstep, Pacer
 from armsight_sim.commands import Verdict
 from armsight_sim.errors import SimError
 from armsight_sim.motion import Motion
 from armsight_sim.settings import Settings
 from armsight_sim.stop import StopRequestError, StopSources
-from armsight_sim.targets import NONE, TARGETS, VISIBLE, visible_box, visible_sphere
+from armsight_sim.targets import NONE, VISIBLE, visible_box, visible_sphere
+from armsight_sim.tip_path import mocap_rows, targets_of
 from armsight_sim.tuning import tunables, tuned
 from armsight_sim.world import World, load_model, longer_links
 
@@ -56,7 +57,7 @@ class Simulation:
     def __init__(self, context: Context, settings: Settings) -> None:
         """Declares everything on the bus; frames start with :meth:`run`."""
         self._context, self._settings, bus = context, settings, context.bus
-        described = load_model()
+        described = load_model(settings.model)
         model = longer_links(described, settings.model_error)
         world = World(model, 1.0 / settings.fps)
         instants = Instants(settings.start_ns, settings.fps)
@@ -71,12 +72,14 @@ class Simulation:
         self._frame_times: deque[float] = deque(maxlen=31)
 
         self._names = description.camera_names(model)
-        for name in self._names:
-            calibration = description.calibration(model, name, settings.width, settings.height, settings.start_ns)
+        self._sizes = [picture_size(model, name, settings.width, settings.height) for name in self._names]
+        for name, (width, height) in zip(self._names, self._sizes, strict=True):
+            calibration = description.calibration(model, name, width, height, settings.start_ns)
             bus.publisher(topics.CAMERA_CALIBRATION, name).put(calibration)
             bus.publisher(topics.CAMERA_POSE, name).put(description.camera_pose(model, name, settings.start_ns))
-        self._bodies = settings.target == VISIBLE
-        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(described, with_bodies=self._bodies))
+        self._targets = targets_of(described)
+        self._bodies = mocap_rows(model) if settings.target == VISIBLE else None
+        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(described, with_bodies=self._bodies is not None))
         block = settings.clock is ClockMode.LOCKSTEP
         self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
         self._frame_ids = [description.optical_frame(name) for name in self._names]
@@ -103,7 +106,7 @@ class Simulation:
 
     def run(self) -> None:
         """Frame after frame until asked to stop."""
-        self._cameras, self._noise = self._new_cameras(self._settings), _new_noise(self._settings)
+        self._cameras, self._noise = self._new_cameras(self._settings), self._new_noise(self._settings)
         try:
             pacer = Pacer(self._settings.fps, time.monotonic())
             while not self._context.stop.is_set():
@@ -120,9 +123,13 @@ class Simulation:
     def _new_cameras(self, settings: Settings) -> Cameras:
         width, height, emissive = settings.width, settings.height, settings.emissive
         cameras = Cameras(self._model, self._names, width, height, settings.samples, emissive=emissive)
-        if self._bodies:
+        if self._bodies is not None:
             cameras.show_group(_VISIBLE_GROUP)
         return cameras
+
+    def _new_noise(self, settings: Settings) -> Noise | None:
+        size = max(width * height for width, height in self._sizes) * 3
+        return Noise(settings.noise, size, settings.seed) if settings.noise > 0.0 else None
 
     def _tune(self, values: Mapping[str, Value]) -> None:
         before, after = self._settings, tuned(self._settings, values)
@@ -131,7 +138,7 @@ class Simulation:
             self._cameras.close()
             self._cameras = cameras
         if after.noise != before.noise:
-            self._noise = _new_noise(after)
+            self._noise = self._new_noise(after)
         if after.target != before.target:
             self._shows_target = after.target != NONE
         self._settings = after
@@ -144,10 +151,9 @@ class Simulation:
         images = self._cameras.draw(self._motion.world.data)
         if self._noise is not None:
             images = [self._noise.add(image) for image in images]
-        width, height = self._settings.width, self._settings.height
         self._encoded = [
             encode_rgb8(image.tobytes(), width, height, frame_id, capture_ns)
-            for image, frame_id in zip(images, self._frame_ids, strict=True)
+            for image, frame_id, (width, height) in zip(images, self._frame_ids, self._sizes, strict=True)
         ]
         rendered = time.monotonic()
         self._send_frames()
@@ -178,7 +184,7 @@ class Simulation:
             )
         )
         if self._shows_target:
-            frame_id, point = TARGETS[self._settings.target]
+            frame_id, point = self._targets[self._settings.target]
             message = Point3InFrame(timestamp=stamp, frame_id=frame_id)
             message.point.x, message.point.y, message.point.z = point(self._instants.elapsed_s(self._motion.frame))
             self._own_targets.append(capture_ns)
@@ -203,9 +209,9 @@ class Simulation:
     def _set_scene(self, elapsed_s: float) -> None:
         ambient = self._settings.ambient
         self._cameras.light(0.4 + 0.3 * sin(pi * elapsed_s / 30) if ambient is None else ambient)
-        if self._bodies:
+        if self._bodies is not None:
             data = self._motion.world.data
-            data.mocap_pos[:] = [visible_sphere(elapsed_s), visible_box(elapsed_s)]
+            data.mocap_pos[list(self._bodies)] = [visible_sphere(elapsed_s), visible_box(elapsed_s)]
             self._motion.world.update_positions()
 
     def _handle_until(self, due_s: float) -> None:
@@ -304,8 +310,3 @@ class Simulation:
             health.report(HEALTH_STATUS_DEGRADED, slow)
         else:
             health.report(HEALTH_STATUS_OK, detail)
-
-
-def _new_noise(settings: Settings) -> Noise | None:
-    size = settings.width * settings.height * 3
-    return Noise(settings.noise, size, settings.seed) if settings.noise > 0.0 else None

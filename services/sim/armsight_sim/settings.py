@@ -4,6 +4,7 @@ import argparse
 import datetime
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 from armsight.errors import ConfigError
 from armsight.service import add_service_arguments
@@ -43,6 +44,8 @@ class Settings:
     model_error: float
     """Share by which the arm's links are longer than described."""
     pose: tuple[float, ...]
+    model: Path | None = None
+    """An MJCF or URDF; none: the arm of this package."""
 
     def __post_init__(self) -> None:
         """Refuses what can't work, saying what can."""
@@ -85,6 +88,7 @@ def parse_settings(arguments: argparse.Namespace) -> Settings:
         seed=arguments.seed,
         model_error=arguments.model_error,
         pose=tuple(arguments.pose),
+        model=arguments.model,
     )
 
 
@@ -99,9 +103,14 @@ def argument_parser() -> argparse.ArgumentParser:
         default=ClockMode.REALTIME.value,
         help="realtime: frames by the wall clock; lockstep: wait for the answer to every frame (default: realtime)",
     )
+    parser.add_argument(
+        "--model", type=Path, metavar="FILE", help="MJCF or URDF of another arm: docs/own-arm.md (default: our own arm)"
+    )
     parser.add_argument("--fps", type=int, default=30, help="frames a second of simulated time, from 15 (default: 30)")
-    parser.add_argument("--width", type=int, default=800, help="pixels (default: 800)")
-    parser.add_argument("--height", type=int, default=800, help="pixels (default: 800)")
+    parser.add_argument(
+        "--width", type=int, default=800, help="pixels, of cameras whose model gives no resolution (default: 800)"
+    )
+    parser.add_argument("--height", type=int, default=800, help="as --width (default: 800)")
     parser.add_argument(
         "--samples", type=int, choices=SAMPLES, default=0, help="for each pixel; 4 is smoother and slower (default: 0)"
     )

@@ -6,11 +6,14 @@ Angles are in radians, in the order of :attr:`World.joint_names`; times in simul
 import copy
 from collections.abc import Mapping, Sequence
 from importlib import resources
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from armsight_sim import conventions
+from armsight_sim.anatomy import moves
 from armsight_sim.errors import ModelError, PoseError
 
 Vector = npt.NDArray[np.float64]
@@ -18,12 +21,24 @@ Vector = npt.NDArray[np.float64]
 LIMIT_TOLERANCE_RAD = 1e-6
 """Rounding of another service is clamped, anything further is refused."""
 
+_LONG = (int(mujoco.mjtGeom.mjGEOM_CYLINDER), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
 _LONGEST_STEP_S = 0.0021  # sixteen steps a frame at 30 Hz: kv of the actuators is stable with room to spare
 
 
-def load_model() -> mujoco.MjModel:
-    """The arm as this package ships it."""
-    return mujoco.MjModel.from_xml_string(resources.files("armsight_sim").joinpath("models/arm.xml").read_text())
+def load_model(file: Path | None = None) -> mujoco.MjModel:
+    """A model, as it is: an MJCF or a URDF, with what it refers to beside it; without a file the arm of this package.
+
+    Raises:
+        ModelError: there is no such file, or MuJoCo can't read it.
+    """
+    if file is None:
+        return mujoco.MjModel.from_xml_string(resources.files("armsight_sim").joinpath("models/arm.xml").read_text())
+    if not file.is_file():
+        raise ModelError(f"there is no model {file}")
+    try:
+        return mujoco.MjModel.from_xml_path(str(file))
+    except ValueError as error:
+        raise ModelError(f"MuJoCo can't read {file}: {' '.join(str(error).split())}") from error
 
 
 def longer_links(model: mujoco.MjModel, share: float) -> mujoco.MjModel:
@@ -33,13 +48,14 @@ def longer_links(model: mujoco.MjModel, share: float) -> mujoco.MjModel:
     """
     other = copy.copy(model)
     scale = 1.0 + share
-    moving = np.flatnonzero(model.body_jntnum > 0)
+    moving = [body for body in range(model.nbody) if moves(model, body)]
     for body in moving:
-        if model.body_jntnum[model.body_parentid[body]] > 0:
+        other.jnt_pos[model.jnt_bodyid == body] *= scale
+        if moves(model, int(model.body_parentid[body])):
             other.body_pos[body] *= scale
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, moving)):
         other.geom_pos[geom] *= scale
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        if int(model.geom_type[geom]) in _LONG:
             other.geom_size[geom, 1] *= scale
     other.site_pos[np.isin(model.site_bodyid, moving)] *= scale
     return other
@@ -52,35 +68,37 @@ class World:
         """At rest at the zero pose.
 
         Args:
-            model: by the conventions of models/arm.xml; its step is set to divide the frame period.
+            model: its step is set to divide the frame period.
             frame_period_s: simulated time between two frames.
+
+        Raises:
+            ModelError: the model does not follow the conventions of docs/own-arm.md; with everything to be mended.
         """
+        conventions.check(model)
         self.model = model
         self.data = mujoco.MjData(model)
         self.steps_per_frame = int(np.ceil(frame_period_s / _LONGEST_STEP_S))
         model.opt.timestep = self.step_s = frame_period_s / self.steps_per_frame
         self.joint_names = tuple(model.joint(index).name for index in range(model.njnt))
-        if not self.joint_names or np.any(model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE):
-            raise ModelError("the arm must be a chain of hinge joints")
-        if tuple(model.actuator(index).name for index in range(model.nu)) != self.joint_names:
-            raise ModelError(f"each of {', '.join(self.joint_names)} needs one position actuator of its name, in order")
+        self._actuators = [conventions.actuators_of(model, joint)[0] for joint in range(model.njnt)]
         self.limits: npt.NDArray[np.float64] = model.jnt_range.copy()
-        self.max_speed: Vector = model.jnt_user[:, 0].copy()
+        self.max_speed: Vector = conventions.max_speeds(model)
         # A position actuator pulls with kp (ctrl - q) - kv q'. Adding kv/kp of the setpoint's speed to ctrl makes that
-        # kp (setpoint - q) + kv (setpoint' - q'): no lag behind a moving setpoint.
-        self._lead_s: Vector = model.actuator_biasprm[:, 2] / model.actuator_biasprm[:, 1]
+        # kp (setpoint - q) + kv (setpoint' - q'): no lag behind a moving setpoint. A joint's own damping adds to kv.
+        bias = model.actuator_biasprm[self._actuators]
+        self._lead_s: Vector = (bias[:, 2] - model.dof_damping) / bias[:, 1]
         self.reset(np.zeros(len(self.joint_names)))
 
     def reset(self, pose: Vector) -> None:
         """Puts the arm at a pose, at rest."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = pose
-        self.data.ctrl[:] = pose
+        self.data.ctrl[self._actuators] = pose
         mujoco.mj_forward(self.model, self.data)
 
     def step(self, setpoint: Vector, setpoint_speed: Vector) -> None:
         """One step of :attr:`step_s` towards a moving setpoint (rad, rad/s)."""
-        self.data.ctrl[:] = setpoint + self._lead_s * setpoint_speed
+        self.data.ctrl[self._actuators] = setpoint + self._lead_s * setpoint_speed
         mujoco.mj_step(self.model, self.data)
         # mj_step leaves positions of bodies one step behind the angles: a moving arm would be drawn where it was
         self.update_positions()

@@ -10,8 +10,15 @@ from armsight_control.estimators import all_joints, part1, part2
 from armsight_control.estimators.all_joints import AllJoints, Track
 from armsight_control.estimators.estimate import Estimate
 from armsight_control.estimators.parts import ESTIMATORS, choose
-from armsight_control.kinematics import forward
-from armsight_control.positions import TIP_SIGMA_MAX_M, LastLinks, Positions, directions_of
+from armsight_control.kinematics import forward, need_report
+from armsight_control.positions import (
+    TIP_SIGMA_MAX_M,
+    LastLinks,
+    Positions,
+    directions_of,
+    last_links_of,
+    tip_line_of,
+)
 
 PARTS = "parts"
 NAMES = (all_joints.NAME, part1.NAME, part2.NAME, PARTS)
@@ -35,11 +42,22 @@ def check_estimator(name: str) -> str:
 class Observer:
     """One estimator at work on one arm."""
 
-    def __init__(self, name: str, arm: Arm, links: LastLinks, counters: Counters) -> None:
-        """Has seen nothing yet."""
+    def __init__(self, name: str, arm: Arm, counters: Counters) -> None:
+        """Has seen nothing yet.
+
+        Raises:
+            UnsupportedArmError: the estimator is for the report's arm, and this is another.
+        """
         self._name = check_estimator(name)
         self._arm = arm
-        self._links = links
+        self._links: LastLinks | None = None
+        if name != all_joints.NAME:
+            need_report(arm.chain, f"the estimator {name}", all_joints.NAME)
+            self._links = last_links_of(arm)
+        line = tip_line_of(arm)
+        on_last = [marker for marker, point in arm.markers.items() if point.joint == arm.chain.tip.joint]
+        self._on_last = on_last if line is None else list(line.along)
+        self._vague_m = TIP_SIGMA_MAX_M * arm.chain.scale
         self._counters = counters
         self._all = AllJoints(arm)
         self._track: Track | None = None
@@ -56,7 +74,7 @@ class Observer:
         Raises:
             PositionsError: the tip is known too vaguely, or a Part's markers are lost.
         """
-        if self._name == all_joints.NAME:
+        if self._links is None:
             return self._look_at_all(positions, setpoint)
         directions = directions_of(positions, self._links)
         estimator = choose(setpoint, preferred) if self._name == PARTS else ESTIMATORS[self._name]
@@ -75,8 +93,8 @@ class Observer:
         self._track = outcome.track
         if outcome.restarted:
             self._counters.add("estimator_restarted")
-        if outcome.tip_sigma > TIP_SIGMA_MAX_M:
-            lost = [name for name in self._links.along if name not in positions.seen]
+        if outcome.tip_sigma > self._vague_m:
+            lost = [name for name in self._on_last if name not in positions.seen]
             unseen = f"{' and '.join(lost)} can't be seen by any camera: " if lost else ""
             text = f"{unseen}the tip is known to ±{outcome.tip_sigma:.2f} m only; another camera must see the arm"
             raise PositionsError("lost" if lost else "vague", text)

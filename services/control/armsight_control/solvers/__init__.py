@@ -5,7 +5,7 @@ before any solver sees it, and the solution says so: near and beyond the edge of
 alike. For other chains the batched solvers go as near as they can and say that.
 """
 
-from armsight_control.solvers.dispatch import BESIDE_THE_LOOP, SOLVERS, check_solver, solve, solve_batch
+from armsight_control.solvers.dispatch import BESIDE_THE_LOOP, SOLVERS, check_applies, check_solver, solve, solve_batch
 from armsight_control.solvers.options import (
     ClosedFormOptions,
     GradientDescentOptions,
@@ -28,6 +28,7 @@ __all__ = [
     "Solutions",
     "Status",
     "TorchOptions",
+    "check_applies",
     "check_solver",
     "solve",
     "solve_batch",

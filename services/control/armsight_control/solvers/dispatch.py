@@ -3,15 +3,14 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight_control.chain import Array, Chain
-from armsight_control.errors import SolverError, UnsupportedArmError
+from armsight_control.errors import SolverError
 from armsight_control.folded import check_free, fold
-from armsight_control.kinematics import Links, forward, links_of
+from armsight_control.kinematics import Links, forward, links_of_report, need_report
 from armsight_control.solvers import closed_form, redundant
 from armsight_control.solvers.options import Options
 from armsight_control.solvers.problem import REPORT_FREE, Found, Problem, Solution, Solutions, Status, Task
@@ -23,9 +22,8 @@ _STATUS = (Status.STEP_LIMIT, Status.CONVERGED, Status.UNREACHABLE, Status.UNREA
 
 
 def _closed_form(task: Task) -> Found:
-    links, moving = links_of_report(task.chain), _moving(task)
-    if links is None or moving is None:
-        links_of(task.chain)  # says what is wrong with the chain, if that is it
+    links, moving = _need("closed-form", task.chain), _moving(task)
+    if moving is None:
         raise SolverError("the closed form needs joint 2 at 0 or free, and all other joints free")
     count = len(task.aims)
     if moving == "all four":
@@ -41,9 +39,10 @@ def _closed_form(task: Task) -> Found:
 def _gradient_descent(task: Task) -> Found:
     from armsight_control.solvers import gradient_descent  # takes seconds: it imports torch
 
+    links = _need("gradient-descent", task.chain)
     if _moving(task) != "joint 2 at 0":
         raise SolverError("the report's descent needs joint 2 at 0 and all other joints free")
-    links, limits = links_of(task.chain), task.chain.limits[list(REPORT_FREE)]
+    limits = task.chain.limits[list(REPORT_FREE)]
     ends = [
         gradient_descent.descend(links, limits, aim, start, task.options.gradient_descent)
         for aim, start in zip(task.aims, task.free_starts, strict=True)
@@ -75,6 +74,10 @@ BESIDE_THE_LOOP = frozenset({"torch", "gradient-descent", "levenberg-marquardt"}
 """Too slow, or too slow to load, for the process that answers frames."""
 
 
+OF_THE_REPORT = frozenset({"gradient-descent", "closed-form"})
+"""For an arm of its shape alone."""
+
+
 def check_solver(name: str) -> None:
     """Refuses a name that no solver has.
 
@@ -83,6 +86,16 @@ def check_solver(name: str) -> None:
     """
     if name not in SOLVERS:
         raise SolverError(f"no solver {name!r}; there are {', '.join(SOLVERS)}")
+
+
+def check_applies(name: str, chain: Chain) -> None:
+    """Refuses a solver that is for another arm than this one.
+
+    Raises:
+        UnsupportedArmError: says what to use instead.
+    """
+    if name in OF_THE_REPORT:
+        _need(name, chain)
 
 
 def solve(name: str, problem: Problem) -> Solution:
@@ -125,6 +138,10 @@ def solve_batch(
     groups = _alike(starts, free)
     parts = [_solve_alike(name, chain, targets[rows], starts[rows], free, options or Options()) for rows in groups]
     return parts[0] if len(parts) == 1 else _joined(parts, np.concatenate(groups))
+
+
+def _need(name: str, chain: Chain) -> Links:
+    return need_report(chain, f"the solver {name}", "torch or levenberg-marquardt")
 
 
 def _checked(chain: Chain, targets: Array, starts: Array) -> tuple[Array, Array]:
@@ -212,15 +229,6 @@ def _moving(task: Task) -> Moving | None:
     if len(task.folded.free) == task.chain.count:
         return "all four"
     return "joint 2 at 0" if task.folded.free == REPORT_FREE and task.starts[0, _JOINT_2] == 0 else None
-
-
-@lru_cache(maxsize=16)
-def links_of_report(chain: Chain) -> Links | None:
-    """The lengths of a chain of the report's shape; nothing for another."""
-    try:
-        return links_of(chain)
-    except UnsupportedArmError:
-        return None
 
 
 def _joined(parts: Sequence[Solutions], order: NDArray[np.int64]) -> Solutions:

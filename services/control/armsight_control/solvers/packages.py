@@ -31,7 +31,8 @@ PREPARED = (3, 4)
 
 COMPILED = Path(__file__).parent / "compiled"
 """Where `python -m armsight_control.solvers.compile` puts them."""
-MAKE = "run `python -m armsight_control.solvers.compile`, which needs a C++ compiler"
+_COMPILE = "python -m armsight_control.solvers.compile"
+MAKE = f"run `{_COMPILE}`, which needs a C++ compiler"
 
 Call = Callable[[Sequence[torch.Tensor]], Sequence[torch.Tensor]]
 
@@ -115,6 +116,8 @@ def block(kind: Kind, joints: int, on_demand: bool = False, folder: Path = COMPI
         compiled = torch.compile(module, fullgraph=True, dynamic=True)
         return Block(lambda tensors: compiled(*tensors), "torch.compile")
     eager = torch.inference_mode()(module)
+    if joints not in PREPARED:
+        refusal = refusal.replace(_COMPILE, f"{_COMPILE} --joints {' '.join(map(str, (*PREPARED, joints)))}")
     return Block(lambda tensors: eager(*tensors), "eager", f"{kind} for {joints} joints runs uncompiled: {refusal}")
 
 

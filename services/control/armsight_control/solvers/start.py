@@ -7,6 +7,7 @@ import numpy as np
 
 from armsight_control.chain import Array, Chain
 from armsight_control.folded import Folded
+from armsight_control.kinematics import links_of_report
 from armsight_control.solvers.problem import REPORT_FREE
 
 Initialisation = Literal["fixed", "previous", "random"]
@@ -19,11 +20,11 @@ FIXED_RAD = 0.5
 """Of `fixed`, every free joint: away from the straight poses, where the error has saddles."""
 
 FIXED_JOINT = 1
-"""The report's inverse kinematics keeps joint 2 at 0."""
+"""The report's inverse kinematics keeps joint 2 of its arm at 0; other arms hold none."""
 
 
 def start(chain: Chain, initialisation: Initialisation, previous: Array | None, rng: np.random.Generator) -> Array:
-    """The configuration to start from, joint 2 at 0, inside the limits.
+    """The configuration to start from, inside the limits; of the report's arm with joint 2 at 0.
 
     Args:
         chain: the arm.
@@ -32,26 +33,22 @@ def start(chain: Chain, initialisation: Initialisation, previous: Array | None, 
         rng: source of `random`.
     """
     if initialisation == "fixed":
-        return with_joint2_at_0(chain, np.full(chain.count, FIXED_RAD))
+        return for_free(chain, np.full(chain.count, FIXED_RAD), REPORT_FREE)
     if initialisation == "previous" and previous is not None:
-        return with_joint2_at_0(chain, previous)
+        return for_free(chain, previous, REPORT_FREE)
     return perturbed(chain, np.zeros(chain.count), REPORT_FREE, rng)
 
 
 def perturbed(chain: Chain, q: Array, free: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """A configuration with the report's noise on top, joint 2 at 0 unless it is free."""
+    """A configuration with the report's noise on top; else as :func:`for_free`."""
     return for_free(chain, q + rng.normal(0.0, SIGMA_RAD, chain.count), free)
 
 
 def for_free(chain: Chain, q: Array, free: tuple[int, ...]) -> Array:
-    """The configuration inside the limits and with joint 2 at 0 unless it is free."""
-    return chain.clip(q) if FIXED_JOINT in free else with_joint2_at_0(chain, q)
-
-
-def with_joint2_at_0(chain: Chain, q: Array) -> Array:
-    """The configuration inside the limits and with joint 2 at 0."""
+    """The configuration inside the limits; of the report's arm with joint 2 at 0 unless it is free."""
     moved = chain.clip(q)
-    moved[FIXED_JOINT] = 0.0
+    if FIXED_JOINT not in free and links_of_report(chain) is not None:
+        moved[FIXED_JOINT] = 0.0
     return moved
 
 

@@ -15,6 +15,7 @@ from armsight_operator.cli import (
     bridge,
     certs,
     conformance,
+    describe,
     doctor,
     export,
     metrics,
@@ -107,6 +108,7 @@ app.add_typer(params.app, name="params")
 app.command("metrics")(metrics.metrics)
 app.command("doctor")(doctor.doctor)
 app.command("conformance")(conformance.conformance)
+app.command("describe")(describe.describe)
 app.command("trace")(trace.trace)
 app.command("snapshot")(snapshot.snapshot)
 app.command("record")(record.record)

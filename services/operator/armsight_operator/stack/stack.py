@@ -38,6 +38,7 @@ class Stack:
         start_time: sim's, RFC 3339, for runs that must repeat.
         target: what sim publishes on `target`: ``none``, ``default``, ``exercise``, ``visible``.
         mode: control's first mode.
+        model: sim's, an MJCF or URDF (default: the arm that sim ships).
         out: folder for the logs (default: a new temporary one, left to whoever wants to read them).
         port: of the router on the loopback interface; 0 takes a free one.
         namespace: the robot's name on the bus.
@@ -56,6 +57,7 @@ class Stack:
         start_time: str | None = None,
         target: str = "default",
         mode: str = "track",
+        model: Path | None = None,
         out: Path | None = None,
         port: int = 0,
         namespace: str = DEFAULT_NAMESPACE,
@@ -77,6 +79,7 @@ class Stack:
             "sim": [
                 *("--clock", clock, "--samples", str(samples), "--fps", f"{fps:g}", "--target", target),
                 *(("--start-time", start_time) if start_time is not None else ()),
+                *(("--model", str(model)) if model is not None else ()),
             ],
             "vision": [],
             "control": ["--mode", mode],
