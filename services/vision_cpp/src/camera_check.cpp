@@ -1,6 +1,7 @@
 #include "armsight/vision/camera_check.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
 #include <utility>
 
@@ -28,7 +29,7 @@ std::optional<double> residual_px(const Observation& seen, const Camera& camera,
 }
 
 std::string rounded(double px) {
-    const auto tenths = static_cast<int>(px * 10.0 + 0.5);
+    const long tenths = std::lround(px * 10.0);
     return std::to_string(tenths / 10) + "." + std::to_string(tenths % 10);
 }
 
@@ -66,8 +67,9 @@ void CameraCheck::add(std::span<const MarkerEstimate> estimates, std::span<const
             if (seen.visible < kSeen) continue;
             const auto apart = residual_px(seen, *camera, *estimate.position);
             if (is_together && apart) own.together.add(*apart);
-            const auto off = markers[i].fixed ? residual_px(seen, *camera, *markers[i].fixed) : std::nullopt;
-            if (off) own.fixed.add(*off);
+            if (const auto& fixed = markers[i].fixed) {
+                if (const auto off = residual_px(seen, *camera, *fixed)) own.fixed.add(*off);
+            }
         }
     }
     if (together_ + alone_ < 2 * kJudged) return;
