@@ -82,6 +82,18 @@ def tip_of(model: mujoco.MjModel) -> tuple[int, Vector] | None:
     return None
 
 
+def shape_of(model: mujoco.MjModel, element: Element) -> tuple[Vector, Vector]:
+    """Place in its body, and size, of a geom or site."""
+    if element.kind is Kind.GEOM:
+        return model.geom_pos[element.index], model.geom_size[element.index]
+    return model.site_pos[element.index], model.site_size[element.index]
+
+
+def place_of(data: mujoco.MjData, element: Element) -> Vector:
+    """Where a geom or site is now, world frame."""
+    return np.asarray((data.geom_xpos if element.kind is Kind.GEOM else data.site_xpos)[element.index])
+
+
 def carrier(model: mujoco.MjModel, body: int) -> int:
     """The joint that a body moves with: its own, or that of the next body below it; -1 where none moves it."""
     while body != 0 and model.body_jntnum[body] == 0:

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from armsight_sim.anatomy import MARKER, Element, Kind, Places, balls, carrier, moves, tip_of
+from armsight_sim.anatomy import MARKER, Element, Kind, Places, balls, carrier, moves, place_of, shape_of, tip_of
 from armsight_sim.errors import ModelError
+from armsight_sim.settings import LEAST_SIDE_PX, MOST_SIDE_PX
 
 # What vision needs to tell colours apart (services/vision_cpp/src/classify.cpp).
 LEAST_HUE_DISTANCE_RAD = math.radians(12)
 LEAST_SATURATION = 0.15
-LEAST_SIDE_PX, MOST_SIDE_PX = 16, 1920
-"""Of a camera's picture."""
 MOST_MARKERS, MOST_CAMERAS = 64, 16
 
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
@@ -202,18 +201,14 @@ def _seen(model: mujoco.MjModel) -> Iterator[Finding]:
     tip, found = tip_of(model), balls(model)
     if not found or not model.njnt:
         return
-    carried = [carrier(model, ball.body) for ball in found]
     untold = [_joint_name(model, joint) for joint in _untold(model, found)]
     if untold:
         mend = "put markers on the links after it, off its axis: two on the last link, and one off their line"
         yield Finding(f"no marker tells the angle of {', '.join(untold)}", mend, breaks=False)
     if tip is not None and moves(model, tip[0]):
-        joint, place = Places(model).attached(*tip)
-        here = [
-            Places(model).attached(b.body, _place(model, b))[1]
-            for b, c in zip(found, carried, strict=True)
-            if c == joint
-        ]
+        places = Places(model)
+        joint, place = places.attached(*tip)
+        here = [places.attached(b.body, shape_of(model, b)[0])[1] for b in found if carrier(model, b.body) == joint]
         if not any(_in_line(a, b, place) for i, a in enumerate(here) for b in here[i + 1 :]):
             mend = "put two markers on one line with it, on its link: without them sight does not correct the tip"
             yield Finding("the tip is not on a line through two markers of its link", mend, breaks=False)
@@ -229,8 +224,7 @@ def _untold(model: mujoco.MjModel, found: list[Element]) -> list[int]:
     rows = []
     for ball in found:
         jacobian = np.zeros((3, model.nv))
-        place = (data.geom_xpos if ball.kind is Kind.GEOM else data.site_xpos)[ball.index]
-        mujoco.mj_jac(model, data, jacobian, None, place, ball.body)
+        mujoco.mj_jac(model, data, jacobian, None, place_of(data, ball), ball.body)
         rows.append(jacobian)
     _, values, vectors = np.linalg.svd(np.vstack(rows))
     unseen = vectors[np.append(values, np.zeros(model.nv - len(values))) < 1e-6]
@@ -281,10 +275,6 @@ def _weight(model: mujoco.MjModel) -> Iterator[Finding]:
 
 def _contacts(model: mujoco.MjModel) -> bool:
     return not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
-
-
-def _place(model: mujoco.MjModel, element: Element) -> np.ndarray:
-    return np.asarray((model.geom_pos if element.kind is Kind.GEOM else model.site_pos)[element.index])
 
 
 def _in_line(a: np.ndarray, b: np.ndarray, point: np.ndarray) -> bool:

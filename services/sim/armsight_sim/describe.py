@@ -14,7 +14,7 @@ from typing import Any
 
 from google.protobuf.json_format import MessageToDict
 
-from armsight_sim.conventions import findings
+from armsight_sim.conventions import findings, size_of
 from armsight_sim.description import describe_arm
 from armsight_sim.errors import ModelError
 from armsight_sim.world import load_model
@@ -31,8 +31,8 @@ def examined(file: Path) -> dict[str, Any]:
     if not any(finding.breaks for finding in found):
         described = describe_arm(model)
         said["description"] = MessageToDict(described, preserving_proto_field_name=True)
-        sizes = {model.camera(index).name: model.cam_resolution[index].tolist() for index in range(model.ncam)}
-        said["resolutions"] = {name: size for name, size in sizes.items() if size != [1, 1]}
+        sizes = {model.camera(index).name: size_of(model, index) for index in range(model.ncam)}
+        said["resolutions"] = {name: size for name, size in sizes.items() if size is not None}
     return said
 
 

@@ -22,7 +22,7 @@ from armsight.v1.description_pb2 import (
 )
 from armsight.v1.geometry_pb2 import Quaternion, Transform, Vector3
 from armsight_sim import conventions
-from armsight_sim.anatomy import Element, Kind, Places, balls, drawn_links, pose_in_world, rotation_of, tip_of
+from armsight_sim.anatomy import Element, Kind, Places, balls, drawn_links, pose_in_world, rotation_of, shape_of, tip_of
 from armsight_sim.errors import ModelError
 
 Vector = npt.NDArray[np.float64]
@@ -53,7 +53,7 @@ def describe_arm(model: mujoco.MjModel, with_bodies: bool = False) -> ArmDescrip
         cameras=camera_names(model),
     )
     for ball in balls(model):
-        position, size = _of(model, ball)
+        position, size = shape_of(model, ball)
         description.markers.append(
             Marker(
                 name=ball.name,
@@ -130,13 +130,6 @@ def _joint(model: mujoco.MjModel, places: Places, speeds: Vector, index: int) ->
 def _attachment(model: mujoco.MjModel, places: Places, body: int, position: Vector) -> Attachment:
     joint, place = places.attached(body, position)
     return Attachment(joint=model.joint(joint).name if joint >= 0 else "", position=_vector3(place))
-
-
-def _of(model: mujoco.MjModel, element: Element) -> tuple[Vector, Vector]:
-    """Position in its body, and size, of an element."""
-    if element.kind is Kind.GEOM:
-        return model.geom_pos[element.index], model.geom_size[element.index]
-    return model.site_pos[element.index], model.site_size[element.index]
 
 
 def _link(model: mujoco.MjModel, places: Places, element: Element) -> list[LinkShape]:

@@ -34,7 +34,7 @@ from armsight_sim.errors import SimError
 from armsight_sim.motion import Motion
 from armsight_sim.settings import Settings
 from armsight_sim.stop import StopRequestError, StopSources
-from armsight_sim.targets import NONE, VISIBLE, visible_box, visible_sphere
+from armsight_sim.targets import NONE, TARGETS, VISIBLE, visible_box, visible_sphere
 from armsight_sim.tip_path import mocap_rows, targets_of
 from armsight_sim.tuning import tunables, tuned
 from armsight_sim.world import World, load_model, longer_links
@@ -77,7 +77,7 @@ class Simulation:
             calibration = description.calibration(model, name, width, height, settings.start_ns)
             bus.publisher(topics.CAMERA_CALIBRATION, name).put(calibration)
             bus.publisher(topics.CAMERA_POSE, name).put(description.camera_pose(model, name, settings.start_ns))
-        self._targets = targets_of(described)
+        self._targets = TARGETS if settings.model is None else targets_of(described)
         self._bodies = mocap_rows(model) if settings.target == VISIBLE else None
         bus.publisher(topics.DESCRIPTION).put(description.describe_arm(described, with_bodies=self._bodies is not None))
         block = settings.clock is ClockMode.LOCKSTEP

@@ -18,6 +18,8 @@ SAMPLES = (0, 4)
 """For each pixel: software GL gives no others."""
 MIN_FPS, MAX_FPS = 15, 240
 """Each frame brings a command, and the next one may be late by a third of the watchdog's time."""
+LEAST_SIDE_PX, MOST_SIDE_PX = 16, 1920
+"""Of a camera's picture."""
 MOST_NOISE = 50.0
 """Grey levels."""
 # 2200: simulated time, counted on from here, stays in 64 bits for every reader
@@ -54,8 +56,10 @@ class Settings:
                 f"--fps {self.fps} is not within {MIN_FPS} to {MAX_FPS}: the arm holds when no command comes for "
                 f"{WATCHDOG_S:g} s, and each frame brings one"
             )
-        if not (16 <= self.width <= 1920 and 16 <= self.height <= 1920):
-            raise ConfigError(f"--width {self.width} --height {self.height}: both must be within 16 to 1920")
+        if not all(LEAST_SIDE_PX <= side <= MOST_SIDE_PX for side in (self.width, self.height)):
+            raise ConfigError(
+                f"--width {self.width} --height {self.height}: both must be within {LEAST_SIDE_PX} to {MOST_SIDE_PX}"
+            )
         if self.ambient is not None and not 0.0 <= self.ambient <= 1.0:
             raise ConfigError(f"--ambient {self.ambient:g} is not within 0 to 1")
         if self.samples not in SAMPLES:

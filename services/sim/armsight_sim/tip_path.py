@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from armsight.errors import ConfigError
-from armsight_sim.anatomy import Kind, Places, balls, tip_of
+from armsight_sim.anatomy import Places, balls, place_of, shape_of, tip_of
 from armsight_sim.conventions import max_speeds, size_of
 from armsight_sim.description import describe_arm
 from armsight_sim.targets import TARGETS, VISIBLE, Point
@@ -67,7 +67,7 @@ class TipPath:
     def __init__(self, model: mujoco.MjModel) -> None:
         """Chooses the configuration to swing about: some 0.1 s."""
         self._model, self._data, self._places = model, mujoco.MjData(model), Places(model)
-        self._tip = tip_of(model)
+        self._tip, self._balls = tip_of(model), balls(model)
         middle, half = model.jnt_range.mean(axis=1), np.ptp(model.jnt_range, axis=1) / 2
         self._swing = np.minimum(_SHARE * half, _MOST_RAD)
         self._turns = 1.0 + np.arange(model.njnt) % 2
@@ -79,7 +79,8 @@ class TipPath:
 
     def __call__(self, t: float) -> Point:
         """Where the tip is at a time."""
-        self._pose(self.angles(self.centre, t))
+        self._data.qpos[:] = self.angles(self.centre, t)
+        mujoco.mj_kinematics(self._model, self._data)
         x, y, z = self._places.R_world_base.T @ (self._tip_world() - self._places.p_world_base)
         return float(x), float(y), float(z)
 
@@ -91,12 +92,13 @@ class TipPath:
     def _worth(self, centre: Vector) -> float:
         least, seen = math.inf, 0.0
         for t in np.linspace(0.0, self.period_s, _SAMPLES, endpoint=False):
-            self._pose(self.angles(centre, float(t)))
+            self._look_at(self.angles(centre, float(t)))
             least = min(least, self._freedom())
             seen += self._share_seen() / _SAMPLES
         return seen * seen * least
 
-    def _pose(self, q: Vector) -> None:
+    def _look_at(self, q: Vector) -> None:
+        """Takes a configuration, with all that judging it needs."""
         self._data.qpos[:] = q
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
@@ -117,15 +119,12 @@ class TipPath:
     def _share_seen(self) -> float:
         """Of the markers, those that two cameras see, or the only one there is."""
         model, data = self._model, self._data
-        found = balls(model)
         views = 0.0
-        for ball in found:
-            geom = ball.kind is Kind.GEOM
-            place = (data.geom_xpos if geom else data.site_xpos)[ball.index]
-            radius = (model.geom_size if geom else model.site_size)[ball.index, 0]
-            looks = sum(self._sees(camera, place, float(radius)) for camera in range(model.ncam))
+        for ball in self._balls:
+            place, radius = place_of(data, ball), float(shape_of(model, ball)[1][0])
+            looks = sum(self._sees(camera, place, radius) for camera in range(model.ncam))
             views += min(1.0, looks / min(2, model.ncam))
-        return views / len(found)
+        return views / len(self._balls)
 
     def _sees(self, camera: int, place: Vector, radius_m: float) -> bool:
         model, data = self._model, self._data
