@@ -156,16 +156,17 @@ def open_session(config: SessionConfig, stop: threading.Event) -> zenoh.Session 
         ConfigError: Zenoh refuses the configuration, or a router can't listen.
     """
     _log_to_stderr()
-    said = ""
+    settings, known = None, ""
     attempt = 0
     while not stop.is_set():
         attempt += 1
         in_the_way = why_not(config.shared_memory)
-        if in_the_way and in_the_way != said:
-            log.warning("no shared memory: %s", in_the_way)
-            said = in_the_way
+        if settings is None or in_the_way != known:
+            settings, known = zenoh_settings(replace(config, shared_memory="off") if in_the_way else config), in_the_way
+            if in_the_way:
+                log.warning("no shared memory: %s", in_the_way)
         try:
-            return zenoh.open(zenoh_settings(replace(config, shared_memory="off") if in_the_way else config))
+            return zenoh.open(settings)
         except zenoh.ZError as error:
             if config.mode == "router":
                 raise ConfigError(f"can't listen on {', '.join(config.endpoints)}: {_reason(error)}") from error

@@ -38,7 +38,7 @@ from armsight_control import safety
 from armsight_control.aiming import FREE_JOINTS, carried, free_of
 from armsight_control.barrier import capsules_of
 from armsight_control.bodies import BodyNames, body_names
-from armsight_control.chain import Array
+from armsight_control.chain import Array, Chain
 from armsight_control.correction import CORRECTION_TIME_S
 from armsight_control.decision import Decision, holding
 from armsight_control.description import Arm
@@ -198,8 +198,7 @@ class Movement:
 
     def describe(self, arm: Arm, message: ArmDescription) -> None:
         """Takes the arm; what was known of another one is forgotten."""
-        self._pointing.move(free_of(arm.chain, self._options.free_joints))
-        self._free = free_of(arm.chain, self._options.free_joints)
+        self._let_move(arm.chain)
         own = links_of_report(arm.chain) is not None
         paths = self.PATHS if own else {CONTROL_MODE_TEST_ALL: all_motion_of(arm.chain.limits)}
         line = tip_line_of(arm)
@@ -209,7 +208,6 @@ class Movement:
         sight = Sight(arm, line, names, self._counters)
         self._body = Body(arm, line, shoulder_of(arm.chain), paths, planner, detours, names, sight)
         self._target = self._track = None
-        self._pointing.forget()
         self.begin_anew()
 
     def set_mode(self, mode: Mode) -> None:
@@ -223,11 +221,14 @@ class Movement:
 
     def tune(self, options: MotionOptions) -> None:
         """Takes another way to go, from the next instant on; a setpoint in motion goes on from its state."""
-        if options.free_joints != self._options.free_joints:
-            chain = None if self._body is None else self._body.arm.chain
-            self._free = FREE_JOINTS[options.free_joints] if chain is None else free_of(chain, options.free_joints)
-            self._pointing.move(self._free)
-        self._options = options
+        before, self._options = self._options, options
+        if self._body is not None and options.free_joints != before.free_joints:
+            self._let_move(self._body.arm.chain)
+
+    def _let_move(self, chain: Chain) -> None:
+        """The joints that may move for a target: the branch is chosen anew."""
+        self._free = free_of(chain, self._options.free_joints)
+        self._pointing.move(self._free)
 
     def rest(self) -> None:
         """Nothing was commanded, or something else is in force: motion begins anew, from rest."""

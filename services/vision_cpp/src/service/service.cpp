@@ -51,21 +51,24 @@ struct Opened {
 // Waits for the router. Goes without shared memory where that can't be had, and says why.
 std::optional<Opened> open_session(const Settings& settings, bool shared_memory, const std::atomic<bool>& stop) {
     zenoh::init_log();
-    std::string said;
+    std::optional<zenoh::Config> config;
+    std::string known;
     for (int attempt = 1; !stop; ++attempt) {
         const std::string in_the_way = shared_memory ? why_no_shared_memory() : "";
-        if (!in_the_way.empty() && in_the_way != said) log_warning("no shared memory: " + in_the_way);
-        said = in_the_way;
         const bool has_it = shared_memory && in_the_way.empty();
-        const zenoh::Config config = session_config(settings, has_it);
+        if (!config || in_the_way != known) {
+            config = session_config(settings, has_it);
+            known = in_the_way;
+            if (!has_it && shared_memory) log_warning("no shared memory: " + in_the_way);
+        }
         try {
-            return Opened{zenoh::Session::open(config), has_it};
+            return Opened{zenoh::Session::open(*config), has_it};
         } catch (const zenoh::ZException& error) {
             if (attempt % 20 == kHintAfterAttempts) {
                 log_warning(
                     "no router yet, still trying: start one with `armsight up` or `armsight router`; with "
                     "certificates, `armsight status` with this --zenoh-config says what is wrong with them",
-                    {{"endpoints", config.get_json("connect/endpoints")}, {"error", error.what()}});
+                    {{"endpoints", config->get_json("connect/endpoints")}, {"error", error.what()}});
             }
         }
         std::this_thread::sleep_for(kRetry);
@@ -278,7 +281,7 @@ void Service::answer(const Instant& instant) {
         stages.received_ns = std::max(stages.received_ns, frame.received_ns);
     }
     pipeline.show_outlines(has_listeners());
-    const auto estimates = pipeline.process(instant.capture_ns, frames);
+    const auto& estimates = pipeline.process(instant.capture_ns, frames);
     stages.sent_ns = static_cast<std::uint64_t>(wall_ns());
     const std::string payload = encode_positions(instant.capture_ns, estimates, stages).SerializeAsString();
     positions_.put(zenoh::as_bytes(payload));
