@@ -9,10 +9,11 @@ from armsight import topics
 from armsight.bus import Bus
 from armsight.errors import ConfigError
 from armsight.times import to_timestamp, wall_ns
-from armsight.v1.control_pb2 import CONTROL_MODE_JOINTS, ControlMode, SetModeRequest
+from armsight.v1.control_pb2 import CONTROL_MODE_JOINTS, SetModeRequest
 from armsight.v1.joints_pb2 import JointSetpoint
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest, StopState
 from armsight_operator.modes import MODES
+from armsight_operator.monitor import MODE_PREFIX, mode_name
 
 FRAMES = ("base", "world")
 
@@ -20,12 +21,6 @@ TARGET_PERIOD_S = 0.1
 """How often a target is published again while it holds: what is lost on the way is made up for."""
 
 _ANSWER_S = 5.0
-_PREFIX = "CONTROL_MODE_"
-
-
-def mode_name(mode: ControlMode) -> str:
-    """A mode as people write it; empty where control has none yet."""
-    return ControlMode.Name(mode).removeprefix(_PREFIX).lower().replace("_", "-") if mode else ""
 
 
 def ask_mode(bus: Bus, name: str | None, start_s: float = 0.0) -> str:
@@ -42,8 +37,9 @@ def ask_mode(bus: Bus, name: str | None, start_s: float = 0.0) -> str:
         raise ConfigError("mode joints needs angles: use `armsight move`")
     request = SetModeRequest()
     if name is not None:
-        request = SetModeRequest(mode=f"{_PREFIX}{name.upper().replace('-', '_')}", start_s=start_s)
-    return mode_name(bus.query(topics.MODE, request, timeout_s=_ANSWER_S).mode)
+        request = SetModeRequest(mode=f"{MODE_PREFIX}{name.upper().replace('-', '_')}", start_s=start_s)
+    mode = bus.query(topics.MODE, request, timeout_s=_ANSWER_S).mode
+    return mode_name(mode) if mode else ""
 
 
 def ask_joints(bus: Bus, angles: Mapping[str, float]) -> None:

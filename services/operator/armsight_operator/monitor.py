@@ -11,10 +11,11 @@ from typing import Protocol
 from armsight import topics
 from armsight.bus import Bus, Received
 from armsight.topics import SERVICES
-from armsight.v1.control_pb2 import ControlState, ControlStatus
+from armsight.v1.control_pb2 import ControlMode, ControlState, ControlStatus
 from armsight.v1.health_pb2 import HEALTH_STATUS_OK, Health, HealthStatus
 from armsight.v1.safety_pb2 import StopState
-from armsight_operator.ask import mode_name
+
+MODE_PREFIX = "CONTROL_MODE_"
 
 _STALE_S = 2.5
 """Health comes once a second: two may be lost before a service counts as missing."""
@@ -114,7 +115,7 @@ class Monitor:
         has_pose = bool(status.joints) and status.HasField("tip")
         return Snapshot(
             services=services,
-            mode=mode_name(status.mode) if fresh else "",
+            mode=mode_name(status.mode) if fresh and status.mode else "",
             state=word(ControlState, status.state, "CONTROL_STATE_") if fresh else "",
             detail=status.detail,
             joints={joint.name: joint.position_rad for joint in status.joints},
@@ -166,6 +167,11 @@ def word(enum: Enum, value: int, prefix: str) -> str:
         return enum.Name(value).removeprefix(prefix).lower()
     except ValueError:
         return "unknown"
+
+
+def mode_name(mode: int) -> str:
+    """A mode of control as people write it."""
+    return word(ControlMode, mode, MODE_PREFIX).replace("_", "-")
 
 
 def _percentile(ordered: Iterable[float], share: float) -> float | None:

@@ -1,38 +1,15 @@
 """Runs of the suite on services made for the purpose: many at a time, each under a name of its own on one router."""
 
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+
+from plain_bus import opened, router
 
 from armsight.bus import Bus
-from armsight.session import SessionConfig, open_session
 from armsight_operator.conformance import Outcome, Result, run, suite_of
-from armsight_operator.stack import free_port
 
 Results = dict[str, Result]
 Own = Callable[[Bus], object]
-
-
-@contextmanager
-def router() -> Iterator[str]:
-    """A router's endpoint."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    config = SessionConfig(mode="router", endpoints=(endpoint,), namespace="", shared_memory="off")
-    session = open_session(config, threading.Event())
-    assert session is not None
-    with session:
-        yield endpoint
-
-
-@contextmanager
-def place(endpoint: str, namespace: str) -> Iterator[Bus]:
-    """A bus, as every service opens it."""
-    config = SessionConfig(endpoints=(endpoint,), namespace=namespace, shared_memory="off")
-    session = open_session(config, threading.Event())
-    assert session is not None
-    with session:
-        yield Bus(session)
 
 
 def results_of(service: str, cases: Mapping[Own, Sequence[str]], at_a_time: int = 6) -> dict[Own, Results]:
@@ -40,7 +17,8 @@ def results_of(service: str, cases: Mapping[Own, Sequence[str]], at_a_time: int 
 
     def one(endpoint: str, index: int, own: Own, names: Sequence[str]) -> Results:
         namespace = f"robots/own{index}"
-        with place(endpoint, namespace) as theirs, place(endpoint, namespace) as ours:
+        theirs, ours = opened(endpoint, namespace), opened(endpoint, namespace)
+        with theirs.session, ours.session:
             kept = own(theirs)
             found = {result.name: result for result in run(ours, suite_of(service), names)}
             del kept

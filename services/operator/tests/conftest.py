@@ -1,14 +1,13 @@
 import stat
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import plain_bus
 import pytest
 
 from armsight.bus import Bus
-from armsight.session import SessionConfig, open_session
-from armsight_operator.stack import NAMES, Stack, free_port
+from armsight_operator.stack import NAMES, Stack
 from armsight_operator.stack.executables import VISION_VARIABLE
 from fake_arm import FakeArm
 
@@ -54,11 +53,7 @@ def stack(fake: Callable[..., Path], tmp_path: Path) -> Iterator[Stack]:
 @pytest.fixture
 def endpoint() -> Iterator[str]:
     """A router's."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    config = SessionConfig(mode="router", endpoints=(endpoint,), namespace="", shared_memory="off")
-    session = open_session(config, threading.Event())
-    assert session is not None
-    with session:
+    with plain_bus.router() as endpoint:
         yield endpoint
 
 
@@ -68,9 +63,7 @@ def make_bus(endpoint: str) -> Iterator[Callable[[], Bus]]:
     opened: list[Bus] = []
 
     def make() -> Bus:
-        session = open_session(SessionConfig(endpoints=(endpoint,), shared_memory="off"), threading.Event())
-        assert session is not None
-        opened.append(Bus(session))
+        opened.append(plain_bus.opened(endpoint))
         return opened[-1]
 
     yield make

@@ -1,8 +1,7 @@
 """A control as somebody could bring one: it fulfils the contract, and is broken by overriding a method."""
 
 import threading
-import time
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +55,8 @@ STEP_RAD = 0.05
 class OwnControl:
     """Believes the accepted setpoint, and looks at positions only to see whether they fit it."""
 
+    service: ClassVar[str] = "control"
+
     def __init__(self, bus: Bus) -> None:
         self.bus, self.lock = bus, threading.RLock()
         self.arm: Arm | None = None
@@ -86,13 +87,13 @@ class OwnControl:
             take(got.message)
 
     def new_health(self) -> Any:
-        health = HealthReporter("control", self.bus)
+        health = HealthReporter(self.service, self.bus)
         health.report(HEALTH_STATUS_OK)
         return health
 
     def declare_parameters(self) -> None:
         tunables = (Tunable("speed", "share of the speed", 0.3, "", 0.0, 1.0),)
-        serve_parameters("control", self.bus, {"speed": 0.3}).declare(tunables, lambda _: None)
+        serve_parameters(self.service, self.bus, {"speed": 0.3}).declare(tunables, lambda _: None)
 
     # --- what it hears
 
@@ -234,31 +235,3 @@ class OwnControl:
 
 def _vector(values: Array) -> Vector3:
     return Vector3(x=values[0], y=values[1], z=values[2])
-
-
-class WithoutToken:
-    """Health without the token that goes with it."""
-
-    def __init__(self, bus: Bus, service: str) -> None:
-        health = HealthReporter(service, bus)
-        health.report(HEALTH_STATUS_OK)
-        health._token.undeclare()  # type: ignore[no-untyped-call]
-
-
-class OnceHealth:
-    """Holds the token, and says how it is only once in a while."""
-
-    def __init__(self, bus: Bus, service: str) -> None:
-        health = HealthReporter(service, bus)
-        health.report(HEALTH_STATUS_OK)
-        # every other message: too late by half
-        publisher = health._publisher
-        said: list[float] = []
-
-        class Rare:
-            def put(self, message: Any) -> None:
-                if not said or time.monotonic() - said[-1] > 1.9:
-                    said.append(time.monotonic())
-                    publisher.put(message)
-
-        health._publisher = Rare()  # type: ignore[assignment]

@@ -3,7 +3,7 @@
 import math
 import queue
 import threading
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,8 @@ RESEND_S = 0.3
 class OwnSim:
     """Sends the frames of an instant, waits for the command that answers it, steps."""
 
+    service: ClassVar[str] = "sim"
+
     def __init__(self, bus: Bus) -> None:
         self.bus, self.lock = bus, threading.RLock()
         self.described = self.describe()
@@ -69,13 +71,13 @@ class OwnSim:
         threading.Thread(target=self.loop, daemon=True).start()
 
     def new_health(self) -> Any:
-        health = HealthReporter("sim", self.bus)
+        health = HealthReporter(self.service, self.bus)
         health.report(HEALTH_STATUS_OK)
         return health
 
     def declare_parameters(self) -> None:
         tunables = (Tunable("noise", "of each pixel", 0.0, "", 0.0, 16.0),)
-        serve_parameters("sim", self.bus, {}).declare(tunables, lambda _: None)
+        serve_parameters(self.service, self.bus, {}).declare(tunables, lambda _: None)
 
     def describe(self) -> ArmDescription:
         return scene.description()

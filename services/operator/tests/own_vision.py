@@ -2,7 +2,7 @@
 
 import threading
 import time
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +35,8 @@ LEAST_PIXELS = 8
 class OwnVision:
     """Knows cameras and markers from the bus, and nothing else."""
 
+    service: ClassVar[str] = "vision"
+
     def __init__(self, bus: Bus) -> None:
         self.bus, self.lock = bus, threading.RLock()
         self.description: ArmDescription | None = None
@@ -56,13 +58,13 @@ class OwnVision:
         self.thread.start()
 
     def new_health(self) -> Any:
-        health = HealthReporter("vision", self.bus)
+        health = HealthReporter(self.service, self.bus)
         health.report(HEALTH_STATUS_OK)
         return health
 
     def declare_parameters(self) -> None:
         tunables = (Tunable("least_pixels", "of a marker", LEAST_PIXELS, "px", 1, 100),)
-        serve_parameters("vision", self.bus, {}).declare(tunables, lambda _: None)
+        serve_parameters(self.service, self.bus, {}).declare(tunables, lambda _: None)
 
     # --- what it hears
 

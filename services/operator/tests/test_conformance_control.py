@@ -1,15 +1,14 @@
 """`armsight conformance control`: one's own passes, each broken one fails the check meant for it."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
+import own_wrong
 import pytest
 
 from armsight import topics
 from armsight.bus import Bus
 from armsight.errors import ArmsightError
-from armsight.service import serve_parameters
 from armsight.times import from_timestamp, wall_ns
 from armsight.v1.control_pb2 import (
     CONTROL_MODE_JOINTS,
@@ -32,26 +31,21 @@ from armsight.v1.safety_pb2 import StopState
 from armsight_operator.conformance import OccupiedError, Outcome, UnknownCheckError, run, suite_of
 from armsight_operator.conformance.scene import twin
 from conformance_runs import Own, Results, failed, results_of
-from own_control import Array, OnceHealth, OwnControl, Verdict, WithoutToken
+from own_control import Array, OwnControl, Verdict
 
 MakeBus = Callable[[], Bus]
 
 
-class NoToken(OwnControl):
-    def new_health(self) -> Any:
-        return WithoutToken(self.bus, "control")
+class NoToken(own_wrong.NoToken, OwnControl):
+    pass
 
 
-class RareHealth(OwnControl):
-    def new_health(self) -> Any:
-        return OnceHealth(self.bus, "control")
+class RareHealth(own_wrong.RareHealth, OwnControl):
+    pass
 
 
-class TakesAnyParameter(OwnControl):
-    def declare_parameters(self) -> None:
-        tunables = serve_parameters("control", self.bus, {})
-        tunables.set = lambda _: None  # type: ignore[method-assign, assignment]
-        tunables.declare((), lambda _: None)
+class TakesAnyParameter(own_wrong.TakesAnyParameter, OwnControl):
+    pass
 
 
 class TakesAnyMode(OwnControl):

@@ -1,14 +1,13 @@
 """`armsight conformance sim`: one's own passes, each broken one fails the check meant for it."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+import own_wrong
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from armsight.service import serve_parameters
 from armsight.times import from_timestamp, to_timestamp
 from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.joints_pb2 import JointCommand
@@ -17,25 +16,20 @@ from armsight.v1.sim_pb2 import Clock, ResetRequest, ResetResponse
 from armsight_operator.conformance import suite_of
 from armsight_operator.conformance.draw import Camera
 from conformance_runs import Own, Results, failed, results_of
-from own_control import Array, OnceHealth, WithoutToken
+from own_control import Array
 from own_sim import OwnSim
 
 
-class NoToken(OwnSim):
-    def new_health(self) -> Any:
-        return WithoutToken(self.bus, "sim")
+class NoToken(own_wrong.NoToken, OwnSim):
+    pass
 
 
-class RareHealth(OwnSim):
-    def new_health(self) -> Any:
-        return OnceHealth(self.bus, "sim")
+class RareHealth(own_wrong.RareHealth, OwnSim):
+    pass
 
 
-class TakesAnyParameter(OwnSim):
-    def declare_parameters(self) -> None:
-        tunables = serve_parameters("sim", self.bus, {})
-        tunables.set = lambda _: None  # type: ignore[method-assign, assignment]
-        tunables.declare((), lambda _: None)
+class TakesAnyParameter(own_wrong.TakesAnyParameter, OwnSim):
+    pass
 
 
 class LongAxis(OwnSim):

@@ -1,37 +1,30 @@
 """`armsight conformance vision`: one's own passes, each broken one fails the check meant for it."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+import own_wrong
 import pytest
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from armsight.service import serve_parameters
 from armsight.times import to_timestamp
 from armsight.v1.description_pb2 import Marker
 from armsight.v1.joints_pb2 import MARKER_STATUS_TRACKED, JointPositions, MarkerPosition
 from armsight_operator.conformance import suite_of
 from conformance_runs import Own, Results, failed, results_of
-from own_control import OnceHealth, WithoutToken
 from own_vision import OwnVision
 
 
-class NoToken(OwnVision):
-    def new_health(self) -> Any:
-        return WithoutToken(self.bus, "vision")
+class NoToken(own_wrong.NoToken, OwnVision):
+    pass
 
 
-class RareHealth(OwnVision):
-    def new_health(self) -> Any:
-        return OnceHealth(self.bus, "vision")
+class RareHealth(own_wrong.RareHealth, OwnVision):
+    pass
 
 
-class TakesAnyParameter(OwnVision):
-    def declare_parameters(self) -> None:
-        tunables = serve_parameters("vision", self.bus, {})
-        tunables.set = lambda _: None  # type: ignore[method-assign, assignment]
-        tunables.declare((), lambda _: None)
+class TakesAnyParameter(own_wrong.TakesAnyParameter, OwnVision):
+    pass
 
 
 class AnswersTwice(OwnVision):

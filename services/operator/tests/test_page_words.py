@@ -13,8 +13,9 @@ from armsight.v1.geometry_pb2 import Vector3
 from armsight.v1.joints_pb2 import StageTimes
 from armsight_operator.monitor import ServiceState, Snapshot
 from armsight_operator.page.plots import WINDOW_S, History, Sample, known, stages_ms
-from armsight_operator.page.scene import Wxyz, camera_view, ellipsoid, scene_of, srgb, turned
+from armsight_operator.page.scene import camera_view, ellipsoid, scene_of, srgb
 from armsight_operator.page.state import headline, length, rows
+from armsight_operator.rotations import Wxyz, about
 from fake_arm import description
 
 
@@ -63,7 +64,7 @@ def test_a_link_lies_between_its_ends(end: tuple[float, float, float]) -> None:
 
 
 def test_a_joint_turns_about_its_axis() -> None:
-    assert rotated(turned((0, 0, 1), math.pi / 2), np.array([1.0, 0, 0])) == pytest.approx(np.array([0, 1, 0]))
+    assert rotated(about((0, 0, 1), math.pi / 2), np.array([1.0, 0, 0])) == pytest.approx(np.array([0, 1, 0]))
 
 
 def test_reach_is_that_of_the_arm_stretched_out() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
 from armsight import topics
-from armsight.bus import Bus, Subscriber
+from armsight.bus import Bus
 from armsight.errors import NoReplyError, RefusedError
 from armsight.times import from_timestamp, wall_ns
 from armsight.v1.control_pb2 import (
@@ -37,7 +37,15 @@ from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP, Clock
 from armsight_operator.conformance import judge, scene
 from armsight_operator.conformance.check import Check, UnfulfilledError, require
 from armsight_operator.conformance.scene import PERIOD_NS, Array, Scene
-from armsight_operator.conformance.station import ANSWER_S, DIRT, Station, refused
+from armsight_operator.conformance.station import (
+    ANSWER_S,
+    DIRT,
+    Station,
+    drained,
+    of_every_service,
+    of_instant,
+    refused,
+)
 
 _SETTLE_S = 0.3
 """What is latched, a stop or a setpoint, has arrived after so long: 9 frames."""
@@ -45,6 +53,7 @@ _SETTLE_S = 0.3
 _DESCRIBED_S = 5.0
 """The description has been taken after so long."""
 
+_QUIET_S = 0.3
 _TAKEN_S = 0.05
 """A ring keeps one message: the next may come once that has been taken."""
 
@@ -128,7 +137,7 @@ class Loop:
         capture_ns = from_timestamp(positions.capture_time)
         self._clock.put(Clock(capture_time=positions.capture_time, mode=CLOCK_MODE_LOCKSTEP))
         self._positions.put(positions)
-        return self.obey(self._answer(self._commands, capture_ns))
+        return self.obey(self._answer(capture_ns))
 
     def obey(self, command: JointCommand) -> JointCommand:
         """Judges a command, and moves the arm as it says."""
@@ -141,28 +150,24 @@ class Loop:
 
     def status(self, capture_ns: int) -> ControlStatus:
         """The status of an instant."""
-        until = time.monotonic() + ANSWER_S
-        while time.monotonic() < until:
-            received = self._statuses.recv(ANSWER_S)
-            if received is not None and from_timestamp(received.message.capture_time) == capture_ns:
-                return received.message
-        raise UnfulfilledError("no control/status for an instant that was answered", "one for each answer")
+        found = of_instant(self._statuses, capture_ns, ANSWER_S)
+        if found is None:
+            raise UnfulfilledError("no control/status for an instant that was answered", "one for each answer")
+        return found
 
     def _estimated(self) -> Array:
-        until = time.monotonic() + ANSWER_S
-        while (left_s := until - time.monotonic()) > 0:
-            received = self._estimates.recv(left_s)
-            if received is not None and from_timestamp(received.message.timestamp) == self._capture_ns:
-                return _angles(received.message, self.scene.names)
-        raise UnfulfilledError("no joints/estimated for an instant that was answered", "one for each answer")
+        found = of_instant(self._estimates, self._capture_ns, ANSWER_S)
+        if found is None:
+            raise UnfulfilledError("no joints/estimated for an instant that was answered", "one for each answer")
+        return _angles(found, self.scene.names)
 
-    def _answer(self, commands: Subscriber[JointCommand], capture_ns: int) -> JointCommand:
-        until = time.monotonic() + ANSWER_S
-        while (left_s := until - time.monotonic()) > 0:
-            received = commands.recv(left_s)
-            if received is not None and from_timestamp(received.message.answers) == capture_ns:
-                return received.message
-        raise UnfulfilledError(f"no joints/command for positions within {ANSWER_S:g} s", "an answer, if only a hold")
+    def _answer(self, capture_ns: int) -> JointCommand:
+        found = of_instant(self._commands, capture_ns, ANSWER_S)
+        if found is None:
+            raise UnfulfilledError(
+                f"no joints/command for positions within {ANSWER_S:g} s", "an answer, if only a hold"
+            )
+        return found
 
     def _setpoints(self, q: Array) -> list[JointSetpoint]:
         return [JointSetpoint(name=name, position_rad=angle) for name, angle in zip(self.scene.names, q, strict=True)]
@@ -198,7 +203,7 @@ class Loop:
                 positions = other.positions(self.q, self._capture_ns)
                 self._clock.put(Clock(capture_time=positions.capture_time, mode=CLOCK_MODE_LOCKSTEP))
                 self._positions.put(positions)
-                command = self._answer(self._commands, self._capture_ns)
+                command = self._answer(self._capture_ns)
                 require(command.hold, "motion before joints/accepted was heard", "hold until sim has told the setpoint")
         finally:
             self._description.put(self.scene.described)
@@ -214,8 +219,7 @@ class Loop:
         for _ in range(30):
             asked.append(self._capture_ns + PERIOD_NS)
             answered.append(from_timestamp(self.frame().answers))
-        while (received := self._commands.recv(0.3)) is not None:
-            answered.append(from_timestamp(received.message.answers))
+        answered += [from_timestamp(command.answers) for command in drained(self._commands, _QUIET_S)]
         judge.check_answers(asked, answered)
 
     def repeated(self) -> None:
@@ -225,7 +229,7 @@ class Loop:
         self._capture_ns += PERIOD_NS
         first = self.show(positions)
         self._positions.put(positions)
-        again = self._answer(self._commands, self._capture_ns)
+        again = self._answer(self._capture_ns)
         same = again.hold == first.hold and list(again.joints) == list(first.joints)
         require(same, "another answer to the same positions", "the same answer, and nothing that moves on")
 
@@ -316,8 +320,8 @@ class Loop:
         for positions in (*(self.scene.positions(self.q, old_ns + k) for k in range(3)), JointPositions()):
             self._positions.put(positions)
             time.sleep(_TAKEN_S)
-        while (received := self._commands.recv(0.3)) is not None:
-            require(received.message.hold, "motion that answers an older instant than the last", "hold, or no answer")
+        for command in drained(self._commands, _QUIET_S):
+            require(command.hold, "motion that answers an older instant than the last", "hold, or no answer")
         self.station.must_count(before, 3, "positions older than the last", ("refused", "stale"))
         self._must_move_again("positions were new again")
 
@@ -474,24 +478,7 @@ _COMMAND, _STATUS = "messages.md#jointcommand", "messages.md#controlstatus"
 _SAFETY = "messages.md#safetycode"
 
 CHECKS: tuple[Check[Loop], ...] = (
-    Check(
-        "token",
-        "Control holds a liveliness token on the key of its health.",
-        "keys.md",
-        lambda loop: loop.station.token(),
-    ),
-    Check(
-        "health",
-        "Health comes every second, with all its fields, of one process.",
-        "messages.md#health",
-        lambda loop: loop.station.health_comes(),
-    ),
-    Check(
-        "parameters",
-        "What may be set is told and described, and a value out of bounds or an unknown name refused.",
-        "messages.md#parameters",
-        lambda loop: loop.station.parameters(),
-    ),
+    *of_every_service("Control"),
     Check(
         "modes",
         "control/mode takes and tells the mode, and refuses an unknown one with a text.",

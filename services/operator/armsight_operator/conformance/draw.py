@@ -10,6 +10,7 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
 from armsight.times import to_timestamp
+from armsight_operator import rotations
 from armsight_operator.conformance.scene import Ball
 
 Array = npt.NDArray[np.float64]
@@ -42,6 +43,19 @@ class Camera:
         return self.height / 2 / math.tan(self.fovy_rad / 2)
 
     @property
+    def centre_px(self) -> Array:
+        """The middle of the picture: column and row."""
+        return np.array([self.width - 1, self.height - 1]) / 2
+
+    def in_optical_frame(self, point: Array) -> Array:
+        """A point of the world as the camera has it, metres."""
+        return np.asarray(self.rotation.T @ (point - self.position))
+
+    def pixel(self, optical: Array) -> Array:
+        """Where a point of the optical frame is in the picture: column and row."""
+        return np.asarray(self.focal_px * optical[:2] / optical[2] + self.centre_px)
+
+    @property
     def rotation(self) -> Array:
         """Turns optical axes into the world: columns are right, down, forward."""
         forward = self.look_at - self.position
@@ -57,7 +71,7 @@ class Camera:
 
     def calibration(self, stamp_ns: int) -> CameraCalibration:
         """As sim would publish it."""
-        f, cx, cy = self.focal_px, (self.width - 1) / 2, (self.height - 1) / 2
+        f, (cx, cy) = self.focal_px, self.centre_px.tolist()
         return CameraCalibration(
             timestamp=to_timestamp(stamp_ns),
             frame_id=self.frame_id,
@@ -76,7 +90,7 @@ class Camera:
             timestamp=to_timestamp(stamp_ns), parent_frame_id="world", child_frame_id=self.frame_id
         )
         message.translation.x, message.translation.y, message.translation.z = self.position
-        w, x, y, z = _quaternion(self.rotation)
+        w, x, y, z = rotations.of_matrix(self.rotation.tolist())
         message.rotation.w, message.rotation.x, message.rotation.y, message.rotation.z = w, x, y, z
         return message
 
@@ -89,11 +103,10 @@ class Camera:
         return np.asarray(np.clip(image * 255 + 0.5, 0, 255), dtype=np.uint8)
 
     def _draw_one(self, image: Array, ball: Ball) -> None:
-        centre = self.rotation.T @ (ball.centre - self.position)
+        centre = self.in_optical_frame(ball.centre)
         if centre[2] <= ball.radius_m:
             return
-        f, cx, cy = self.focal_px, (self.width - 1) / 2, (self.height - 1) / 2
-        u, v = f * centre[0] / centre[2] + cx, f * centre[1] / centre[2] + cy
+        f, (cx, cy), (u, v) = self.focal_px, self.centre_px, self.pixel(centre)
         reach = 1.5 * f * ball.radius_m / (centre[2] - ball.radius_m) + 2
         left, right = max(0, int(u - reach)), min(self.width, int(u + reach) + 1)
         top, bottom = max(0, int(v - reach)), min(self.height, int(v + reach) + 1)
@@ -120,19 +133,3 @@ class Camera:
 
         share = mean(hit[..., None].astype(np.float64))
         tile[:] = (1 - share) * tile + mean(np.where(hit[..., None], shaded, 0.0))
-
-
-def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
-    """w, x, y, z of a rotation matrix: the row of the largest of the four is well conditioned."""
-    m = rotation
-    four = np.array(
-        [
-            [1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]],
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]],
-        ]
-    )
-    row = four[int(np.argmax(np.diag(four)))]
-    w, x, y, z = (float(value) for value in row / np.linalg.norm(row))
-    return w, x, y, z

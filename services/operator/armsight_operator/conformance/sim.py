@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from armsight.v1.sim_pb2 import CLOCK_MODE_UNSPECIFIED, Clock, ResetRequest
 from armsight_operator.conformance import judge
 from armsight_operator.conformance.check import Check, UnfulfilledError, require
 from armsight_operator.conformance.judge import Array
-from armsight_operator.conformance.station import ANSWER_S, DIRT, Station, refused
+from armsight_operator.conformance.station import ANSWER_S, DIRT, Station, of_every_service, refused
 
 _SILENCE_S = 10.0
 """In lockstep a sim that waits sends its frames again, though not at once."""
@@ -129,22 +129,21 @@ class Commander:
         """Answers the newest instant, by a hold where nothing else is given, and waits for the next one."""
         if self._now_ns == 0:
             self.instant()
-        answer = JointCommand(hold=True) if command is None else command
-        if not answer.HasField("answers"):
-            answer.answers.CopyFrom(to_timestamp(self._now_ns))
-        if not answer.HasField("valid_for"):
-            answer.valid_for.CopyFrom(to_duration(_VALID_S))
-        self._commands.put(answer)
+        self._put(JointCommand(hold=True) if command is None else command)
         return self.instant()
 
     def wrong(self, command: JointCommand) -> None:
         """Puts a command that must be refused, and a hold: the instant may not count as answered."""
+        self._put(command)
+        self.step()
+
+    def _put(self, command: JointCommand) -> None:
+        """Puts a command; what it leaves open answers the newest instant."""
         if not command.HasField("answers"):
             command.answers.CopyFrom(to_timestamp(self._now_ns))
         if not command.HasField("valid_for"):
             command.valid_for.CopyFrom(to_duration(_VALID_S))
         self._commands.put(command)
-        self.step()
 
     def to(self, q: Array) -> JointCommand:
         """A command to a configuration, rad."""
@@ -262,16 +261,7 @@ class Commander:
         """A valid command moves the arm, within speed."""
         start, goal = self._start(), self._start() + self._signs() * _GOAL_RAD
         self.reset(start)
-        before, before_ns = self.truth(), self._now_ns
-        fastest = np.array([joint.max_speed_rad_s for joint in self.description.joints])
-        for step in range(1, 40):
-            self.step(self.to(start + (goal - start) * min(1.0, step * _STEP_RAD / _GOAL_RAD)))
-            now, elapsed_s = self.truth(), (self._now_ns - before_ns) / NS_PER_S
-            speeds = np.abs(now - before) / elapsed_s
-            at = int(np.argmax(speeds / fastest))
-            seen = f"{self.names[at]} at {speeds[at]:.2f} rad/s"
-            require(speeds[at] <= _OVERSHOOT * fastest[at], seen, f"at most {fastest[at]:g}")
-            before, before_ns = now, self._now_ns
+        self._go_within_speed(start + (goal - start) * min(1.0, step * _STEP_RAD / _GOAL_RAD) for step in range(1, 40))
         judge.check_near("after commands to a goal the arm is at", self.truth(), goal, _NEAR_RAD, "rad")
         judge.check_near("joints/accepted", self.accepted(), goal, 1e-3, "rad")
 
@@ -279,17 +269,7 @@ class Commander:
         """A command far away is approached within speed."""
         start = self._start()
         self.reset(start)
-        goal = start + self._signs() * 0.6
-        fastest = np.array([joint.max_speed_rad_s for joint in self.description.joints])
-        before, before_ns = self.truth(), self._now_ns
-        for _ in range(10):
-            self.step(self.to(goal))
-            now, elapsed_s = self.truth(), (self._now_ns - before_ns) / NS_PER_S
-            speeds = np.abs(now - before) / elapsed_s
-            at = int(np.argmax(speeds / fastest))
-            seen = f"{self.names[at]} at {speeds[at]:.1f} rad/s on its way to a goal at once"
-            require(speeds[at] <= _OVERSHOOT * fastest[at], seen, f"at most {fastest[at]:g}")
-            before, before_ns = now, self._now_ns
+        self._go_within_speed([start + self._signs() * 0.6] * 10, " on its way to a goal at once")
 
     def holds(self) -> None:
         """A hold moves nothing, whatever joints it names."""
@@ -418,6 +398,19 @@ class Commander:
 
     # --- what checks have in common
 
+    def _go_within_speed(self, way: Iterable[Array], where: str = "") -> None:
+        """A command an instant, and none of them moves a joint faster than it may."""
+        before, before_ns = self.truth(), self._now_ns
+        fastest = np.array([joint.max_speed_rad_s for joint in self.description.joints])
+        for q in way:
+            self.step(self.to(q))
+            now, elapsed_s = self.truth(), (self._now_ns - before_ns) / NS_PER_S
+            speeds = np.abs(now - before) / elapsed_s
+            at = int(np.argmax(speeds / fastest))
+            seen = f"{self.names[at]} at {speeds[at]:.2f} rad/s{where}"
+            require(speeds[at] <= _OVERSHOOT * fastest[at], seen, f"at most {fastest[at]:g}")
+            before, before_ns = now, self._now_ns
+
     def _limits(self) -> Array:
         return np.array([(joint.lower_rad, joint.upper_rad) for joint in self.description.joints])
 
@@ -446,24 +439,7 @@ class Commander:
 _SIM = "own-part.md#sim"
 
 CHECKS: tuple[Check[Commander], ...] = (
-    Check(
-        "token",
-        "Sim holds a liveliness token on the key of its health.",
-        "keys.md",
-        lambda commander: commander.station.token(),
-    ),
-    Check(
-        "health",
-        "Health comes every second, with all its fields, of one process.",
-        "messages.md#health",
-        lambda commander: commander.station.health_comes(),
-    ),
-    Check(
-        "parameters",
-        "What may be set is told and described, and a value out of bounds or an unknown name refused.",
-        "messages.md#parameters",
-        lambda commander: commander.station.parameters(),
-    ),
+    *of_every_service("Sim"),
     Check(
         "description",
         "The description is of a serial chain: names once, unit axes, limits, markers and tip on its joints, cameras.",

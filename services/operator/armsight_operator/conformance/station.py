@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any, Protocol
 
 import zenoh
 from google.protobuf.empty_pb2 import Empty
@@ -15,7 +16,8 @@ from armsight.topics import ASK_PARAMETERS, HEALTH, PARAMETERS, SET_PARAMETERS
 from armsight.v1.health_pb2 import HEALTH_STATUS_OK, Health
 from armsight.v1.parameters_pb2 import ParametersResponse, ParameterValue, SetParametersRequest
 from armsight_operator.conformance import judge
-from armsight_operator.conformance.check import NotApplicableError, UnfulfilledError, require
+from armsight_operator.conformance.check import Check, NotApplicableError, UnfulfilledError, require
+from armsight_operator.recording.instants import instant_of
 
 PRESENT_S = 4.0
 """Health comes every second: a service of which nothing is heard for so long does not run."""
@@ -184,6 +186,46 @@ def drained(subscriber: Subscriber[M], quiet_s: float) -> list[M]:
     while (received := subscriber.recv(quiet_s)) is not None:
         found.append(received.message)
     return found
+
+
+def of_instant(subscriber: Subscriber[M], capture_ns: int, timeout_s: float) -> M | None:
+    """The message of an instant, past those of others; nothing within the time."""
+    until = time.monotonic() + timeout_s
+    while (left_s := until - time.monotonic()) > 0:
+        received = subscriber.recv(left_s)
+        if received is not None and instant_of(received.message) == capture_ns:
+            return received.message
+    return None
+
+
+class _HasStation(Protocol):
+    station: Station
+
+
+def of_every_service(name: str) -> tuple[Check[Any], ...]:
+    """What any service is asked, by its name at the beginning of a sentence."""
+
+    def check(label: str, says: str, stands: str, ask: Callable[[Station], None]) -> Check[Any]:
+        def run(player: _HasStation) -> None:
+            ask(player.station)
+
+        return Check(label, says, stands, run)
+
+    return (
+        check("token", f"{name} holds a liveliness token on the key of its health.", "keys.md", Station.token),
+        check(
+            "health",
+            "Health comes every second, with all its fields, of one process.",
+            "messages.md#health",
+            Station.health_comes,
+        ),
+        check(
+            "parameters",
+            "What may be set is told and described, and a value out of bounds or an unknown name refused.",
+            "messages.md#parameters",
+            Station.parameters,
+        ),
+    )
 
 
 @contextmanager

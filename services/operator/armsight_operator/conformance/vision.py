@@ -24,7 +24,7 @@ from armsight_operator.conformance import judge, scene
 from armsight_operator.conformance.check import Check, UnfulfilledError, require
 from armsight_operator.conformance.draw import Camera
 from armsight_operator.conformance.scene import PERIOD_NS, Array, Ball, Scene
-from armsight_operator.conformance.station import ANSWER_S, DIRT, Station, drained
+from armsight_operator.conformance.station import ANSWER_S, DIRT, Station, drained, of_every_service, of_instant
 
 TOLERANCE_M = 0.03
 """Of a marker that both cameras see whole; half a pixel is 0.02 m here."""
@@ -104,12 +104,12 @@ class Frames:
 
     def answer(self, timeout_s: float = ANSWER_S) -> JointPositions:
         """Positions of the present instant."""
-        until = time.monotonic() + timeout_s
-        while (left_s := until - time.monotonic()) > 0:
-            received = self._positions.recv(left_s)
-            if received is not None and from_timestamp(received.message.capture_time) == self._capture_ns:
-                return received.message
-        raise UnfulfilledError(f"no joints/positions for frames within {timeout_s:g} s", "positions of every instant")
+        found = of_instant(self._positions, self._capture_ns, timeout_s)
+        if found is None:
+            raise UnfulfilledError(
+                f"no joints/positions for frames within {timeout_s:g} s", "positions of every instant"
+            )
+        return found
 
     def begin(self) -> None:
         """Waits until the first frames are answered: description and cameras take a moment to arrive.
@@ -188,9 +188,7 @@ class Frames:
             judge.check_names(f"cameras that saw {name}:", seen_by, [camera.name for camera in _CAMERAS])
             for each in marker.observations:
                 camera = next(camera for camera in _CAMERAS if camera.name == each.camera)
-                at = camera.rotation.T @ (balls[name].centre - camera.position)
-                middle = np.array([camera.width - 1, camera.height - 1]) / 2
-                projected = camera.focal_px * at[:2] / at[2] + middle
+                projected = camera.pixel(camera.in_optical_frame(balls[name].centre))
                 where = f"{name} in the image of camera {each.camera} at"
                 judge.check_near(where, np.array([each.u_px, each.v_px]), projected, 1.5, "px")
 
@@ -341,24 +339,7 @@ _POSITIONS, _MARKER, _VISION = "messages.md#jointpositions", "messages.md#marker
 _STATUS = "messages.md#markerstatus"
 
 CHECKS: tuple[Check[Frames], ...] = (
-    Check(
-        "token",
-        "Vision holds a liveliness token on the key of its health.",
-        "keys.md",
-        lambda frames: frames.station.token(),
-    ),
-    Check(
-        "health",
-        "Health comes every second, with all its fields, of one process.",
-        "messages.md#health",
-        lambda frames: frames.station.health_comes(),
-    ),
-    Check(
-        "parameters",
-        "What may be set is told and described, and a value out of bounds or an unknown name refused.",
-        "messages.md#parameters",
-        lambda frames: frames.station.parameters(),
-    ),
+    *of_every_service("Vision"),
     Check(
         "answers",
         "The frames of every instant are answered by one joints/positions of its capture time, in order.",

@@ -18,10 +18,10 @@ from armsight.v1.control_pb2 import ControlMode, ControlState
 from armsight_operator.metrics.counted import GAUGES, REPLACED, meaning
 from armsight_operator.metrics.routers import Router
 from armsight_operator.metrics.watch import BUCKETS_S, Observed, Seen
-from armsight_operator.monitor import word
+from armsight_operator.monitor import mode_name, word
 
 STATUSES = ("ok", "waiting", "degraded", "missing", "unspecified", "unknown")
-MODES = (*(word(ControlMode, number, "CONTROL_MODE_").replace("_", "-") for number in ControlMode.values()), "unknown")
+MODES = (*(mode_name(number) for number in ControlMode.values()), "unknown")
 STATES = (*(word(ControlState, number, "CONTROL_STATE_") for number in ControlState.values()), "unknown")
 
 _COUNTERS = {

@@ -12,7 +12,7 @@ from armsight import topics
 from armsight.bus import Bus, Received
 from armsight.times import NS_PER_S, from_timestamp
 from armsight.topics import SERVICES
-from armsight.v1.control_pb2 import ControlMode, ControlState, ControlStatus
+from armsight.v1.control_pb2 import ControlState, ControlStatus
 from armsight.v1.health_pb2 import Health
 from armsight.v1.joints_pb2 import JointPositions
 from armsight.v1.safety_pb2 import StopState
@@ -21,7 +21,7 @@ from armsight_operator.metrics.counted import TOTALS_AMONG_GAUGES
 from armsight_operator.metrics.names import Ignored, Names
 from armsight_operator.metrics.routers import Router, ask_routers
 from armsight_operator.metrics.totals import Totals
-from armsight_operator.monitor import ServiceState, service_state, word
+from armsight_operator.monitor import ServiceState, mode_name, service_state, word
 from armsight_operator.trace.stages import STAGES, TOTAL, Frame, Stage, instants_of
 
 BUCKETS_S = (0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.02, 0.03, 0.05, 0.075, 0.1, 0.2, 0.5, 1.0)
@@ -154,7 +154,7 @@ class Watch:
                 connected=connected,
                 services=tuple(_seen(name, service, now) for name, service in self._services.items()),
                 stages={name: (tuple(buckets.counts), buckets.sum_s) for name, buckets in self._stages.items()},
-                mode=word(ControlMode, status.mode, "CONTROL_MODE_").replace("_", "-") if fresh else "",
+                mode=mode_name(status.mode) if fresh else "",
                 state=word(ControlState, status.state, "CONTROL_STATE_") if fresh else "",
                 error_m=_error_m(status),
                 stopped_by=stopped_by,

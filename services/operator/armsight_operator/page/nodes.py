@@ -11,7 +11,8 @@ import numpy as np
 import viser
 
 from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, JointPositions, MarkerPosition
-from armsight_operator.page.scene import Array, CameraView, Point, Rgb, Scene, ellipsoid, turned
+from armsight_operator import rotations
+from armsight_operator.page.scene import Array, CameraView, Point, Rgb, Scene, ellipsoid
 
 _SEGMENTS = 20
 _SUBDIVISIONS = 2
@@ -70,7 +71,7 @@ class ArmNodes:
         """Turns the joints, rad; those that are not given stay."""
         for joint in self._scene.joints:
             if joint.name in angles:
-                self._joints[joint.name].wxyz = turned(joint.axis, angles[joint.name])
+                self._joints[joint.name].wxyz = rotations.about(joint.axis, angles[joint.name])
 
     def show(self, *, visible: bool) -> None:
         """Shows or hides all of it."""

@@ -4,20 +4,21 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from statistics import median
 
 import numpy as np
 import numpy.typing as npt
 
 from armsight.v1.joints_pb2 import StageTimes
+from armsight_operator.trace.stages import STAGES as TRACED
+from armsight_operator.trace.stages import instants_of
 
 Column = npt.NDArray[np.float64]
 
 WINDOW_S = 30.0
 
 STAGES = ("camera to vision", "vision", "vision to control", "control")
-"""From one of :class:`StageTimes` to the next."""
+"""What the page calls those that the services themselves tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,16 +42,11 @@ def stages_ms(times: StageTimes) -> tuple[float, ...] | None:
 
     Between stages on several machines the difference of their clocks is in it.
     """
-    passed = (
-        times.frames_sent_ns,
-        times.vision_received_ns,
-        times.vision_sent_ns,
-        times.control_received_ns,
-        times.control_sent_ns,
-    )
-    if not all(passed):
+    told = instants_of(times)
+    passed = [stage for stage in TRACED if not stage.heard]
+    if not all(stage.begin in told and stage.end in told for stage in passed):
         return None
-    return tuple((later - earlier) / 1e6 for earlier, later in pairwise(passed))
+    return tuple((told[stage.end] - told[stage.begin]) / 1e6 for stage in passed)
 
 
 def known(times: Column, columns: Sequence[Column]) -> tuple[Column, ...]:

@@ -11,16 +11,15 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
 from armsight.v1.description_pb2 import ArmDescription, Color, LinkShape
 from armsight.v1.geometry_pb2 import Vector3
+from armsight_operator import rotations
+from armsight_operator.rotations import Wxyz
 
 Array = npt.NDArray[np.float64]
 Rgb = tuple[int, int, int]
 Point = tuple[float, float, float]
-Wxyz = tuple[float, float, float, float]
 
 # Squared radius of the ellipsoid with 95 % of a normal distribution in it: chi-square, three degrees of freedom.
 _CHI_SQUARE_95 = 7.8147
-
-_IDENTITY: Wxyz = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,13 +126,6 @@ def camera_view(calibration: CameraCalibration, pose: FrameTransform) -> CameraV
     )
 
 
-def turned(axis: Point, angle_rad: float) -> Wxyz:
-    """The rotation about a unit vector."""
-    half = angle_rad / 2
-    x, y, z = (math.sin(half) * part for part in axis)
-    return math.cos(half), x, y, z
-
-
 def ellipsoid(covariance: Sequence[float]) -> Ellipsoid | None:
     """The ellipsoid that holds 95 % of a position.
 
@@ -149,7 +141,7 @@ def ellipsoid(covariance: Sequence[float]) -> Ellipsoid | None:
     if np.linalg.det(vectors) < 0:
         vectors[:, 0] = -vectors[:, 0]
     a, b, c = np.sqrt(np.maximum(values, 0.0) * _CHI_SQUARE_95)
-    return Ellipsoid(_quaternion(vectors), (float(a), float(b), float(c)))
+    return Ellipsoid(rotations.of_matrix(vectors.tolist()), (float(a), float(b), float(c)))
 
 
 def srgb(color: Color) -> Rgb:
@@ -172,44 +164,11 @@ def _link(shape: LinkShape) -> Link:
         name=shape.name,
         joint=shape.joint,
         centre=(float(x), float(y), float(z)),
-        wxyz=_from_z_to(along / length) if length > 0 else _IDENTITY,
+        wxyz=rotations.from_z_to(along.tolist()),
         radius_m=shape.radius_m,
         length_m=length,
         color=srgb(shape.color),
     )
-
-
-def _from_z_to(direction: Array) -> Wxyz:
-    """The shortest rotation that takes z to a unit vector."""
-    x, y, z = (float(part) for part in direction)
-    if z < -1 + 1e-12:
-        return 0.0, 1.0, 0.0, 0.0
-    w = math.sqrt((1 + z) / 2)
-    return w, -y / (2 * w), x / (2 * w), 0.0
-
-
-def _quaternion(rotation: Array) -> Wxyz:
-    """Of a rotation matrix, by its largest component (Shepperd)."""
-    m = rotation
-    four_squares = np.array(
-        [
-            1 + m[0, 0] + m[1, 1] + m[2, 2],
-            1 + m[0, 0] - m[1, 1] - m[2, 2],
-            1 - m[0, 0] + m[1, 1] - m[2, 2],
-            1 - m[0, 0] - m[1, 1] + m[2, 2],
-        ]
-    )
-    products = np.array(
-        [
-            [four_squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], four_squares[1], m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]],
-            [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], four_squares[2], m[2, 1] + m[1, 2]],
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], four_squares[3]],
-        ]
-    )
-    row = products[int(four_squares.argmax())]
-    w, x, y, z = row / np.linalg.norm(row)
-    return float(w), float(x), float(y), float(z)
 
 
 def _point(vector: Vector3) -> Point:

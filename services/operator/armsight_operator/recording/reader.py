@@ -7,10 +7,11 @@ import itertools
 import struct
 from collections.abc import Collection, Container, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from google.protobuf.message import Message
+from google.protobuf.message import DecodeError, Message
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Footer, Metadata, Schema
@@ -103,6 +104,21 @@ class Recording:
                 newest[entry.key] = entry.sequence
                 if keys is None or entry.key in keys:
                     yield entry
+
+    def messages(self, wanted: Collection[Topic[Any]]) -> Iterator[tuple[Topic[Any], Entry, Any]]:
+        """Decoded messages of these rows of the table, in the order in which they came.
+
+        What can't be decoded is left out: it is of somebody else's recorder, ours records no such thing.
+        """
+        for entry in self.entries():
+            topic = topic_of(entry.key)
+            if topic is None or topic not in wanted:
+                continue
+            try:
+                message = entry.decode(topic.message)
+            except DecodeError:
+                continue
+            yield topic, entry, message
 
     def outline(self) -> Outline:
         """From the index where there is one, by reading all of it where there is none."""
@@ -199,6 +215,7 @@ def _last_by_index(path: Path, keys: Collection[str], before_ns: int) -> dict[st
     return found
 
 
+@lru_cache(maxsize=1024)
 def topic_of(key: str) -> Topic[Any] | None:
     """The row of the table that a recorded key is of; none for what is not armsight's."""
     parts = key.split("/")

@@ -25,6 +25,7 @@ from armsight.topics import DESCRIPTION, JOINT_POSITIONS, JOINTS_ESTIMATED, Topi
 from armsight.v1 import description_pb2, geometry_pb2
 from armsight.v1.description_pb2 import ArmDescription, LinkShape
 from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, JointPositions
+from armsight_operator import rotations
 
 PREFIX = "converted/"
 TRANSFORMS, ARM, MARKERS = f"{PREFIX}transforms", f"{PREFIX}arm", f"{PREFIX}markers"
@@ -92,7 +93,7 @@ def _cylinder(link: LinkShape) -> CylinderPrimitive:
     )
     position, middle = cylinder.pose.position, [(a + b) / 2 for a, b in zip(start, end, strict=True)]
     position.x, position.y, position.z = middle
-    cylinder.pose.orientation.CopyFrom(_from_z_to(along))
+    cylinder.pose.orientation.CopyFrom(_as_message(rotations.from_z_to(along)))
     return cylinder
 
 
@@ -125,9 +126,7 @@ def _transforms(description: ArmDescription, states: JointStates) -> FrameTransf
     ]
     angles, parent = {state.name: state.position for state in states.joints}, "base"
     for joint in description.joints:
-        half = angles.get(joint.name, 0.0) / 2
-        x, y, z = (math.sin(half) * part for part in _tuple(joint.axis))
-        turned = Quaternion(x=x, y=y, z=z, w=math.cos(half))
+        turned = _as_message(rotations.about(_tuple(joint.axis), angles.get(joint.name, 0.0)))
         transforms.append(_transform(states.timestamp, parent, joint.name, _tuple(joint.origin), turned))
         parent = joint.name
     return FrameTransforms(transforms=transforms)
@@ -146,25 +145,17 @@ def _transform(
     )
 
 
-def _from_z_to(direction: tuple[float, ...]) -> Quaternion:
-    """The shortest turn of the z axis onto a direction."""
-    x, y, z = direction
-    length = math.hypot(x, y, z)
-    if length == 0.0:
-        return Quaternion(w=1.0)
-    w = 1.0 + z / length
-    if w < 1e-9:  # against the axis: half a turn about x
-        return Quaternion(x=1.0)
-    norm = math.hypot(w, x / length, y / length)
-    return Quaternion(x=-y / length / norm, y=x / length / norm, w=w / norm)
-
-
 def _tuple(vector: geometry_pb2.Vector3) -> tuple[float, float, float]:
     return vector.x, vector.y, vector.z
 
 
 def _quaternion(q: geometry_pb2.Quaternion) -> Quaternion:
     return Quaternion(x=q.x, y=q.y, z=q.z, w=q.w)
+
+
+def _as_message(wxyz: rotations.Wxyz) -> Quaternion:
+    w, x, y, z = wxyz
+    return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def _color(color: description_pb2.Color, alpha: float = 1.0) -> Color:

@@ -10,8 +10,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from google.protobuf.message import DecodeError
-
 from armsight import topics
 from armsight.times import from_duration
 from armsight.topics import Topic
@@ -21,7 +19,7 @@ from armsight.v1.health_pb2 import Health, HealthStatus
 from armsight.v1.joints_pb2 import JointCommand, JointPositions, MarkerStatus, StageTimes
 from armsight_operator.errors import OperatorError
 from armsight_operator.monitor import Enum, word
-from armsight_operator.recording.reader import Entry, Recording, topic_of
+from armsight_operator.recording.reader import Entry, Recording
 
 Row = list[object]
 
@@ -70,16 +68,9 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
 
 
 def _rows(recording: Recording) -> Iterator[tuple[str, Row]]:
-    for entry in recording.entries():
-        topic = topic_of(entry.key)
-        rows = _TABLES.get(topic.name) if topic is not None else None
-        if topic is None or rows is None:
-            continue
-        try:
-            message = entry.decode(topic.message)
-        except DecodeError:  # of somebody else's recorder: ours leaves out what can't be decoded
-            continue
-        yield from rows(topic, entry, message)
+    wanted = [topic for topic in topics.TOPICS if topic.name in _TABLES]
+    for topic, entry, message in recording.messages(wanted):
+        yield from _TABLES[topic.name](topic, entry, message)
 
 
 def _joints(topic: Topic[Any], entry: Entry, message: Any) -> Iterator[tuple[str, Row]]:

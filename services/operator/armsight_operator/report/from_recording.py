@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from google.protobuf.message import DecodeError, Message
+from google.protobuf.message import Message
 
 from armsight import topics
 from armsight.times import from_timestamp
@@ -65,36 +65,28 @@ class Recorded:
     health: dict[str, Wellness]
 
 
+_WANTED = (
+    topics.DESCRIPTION,
+    topics.CONTROL_STATUS,
+    topics.JOINTS_ESTIMATED,
+    topics.JOINTS_TRUE,
+    topics.JOINT_POSITIONS,
+    topics.HEALTH,
+)
+
+
 class _Tables:
     """Of each instant what was said of it."""
 
     def __init__(self, recording: Recording) -> None:
-        wanted: dict[str, Topic[Any]] = {
-            topic.key: topic
-            for topic in (
-                topics.DESCRIPTION,
-                topics.CONTROL_STATUS,
-                topics.JOINTS_ESTIMATED,
-                topics.JOINTS_TRUE,
-                topics.JOINT_POSITIONS,
-            )
-        }
         self.description: ArmDescription | None = None
         self.statuses: list[ControlStatus] = []
         self.estimated: dict[int, Array] = {}
         self.true: dict[int, Array] = {}
         self.positions: dict[int, JointPositions] = {}
         self.health: dict[str, Wellness] = {}
-        for entry in recording.entries():
-            topic = wanted.get(entry.key)
-            if entry.key.startswith("health/"):
-                topic = topics.HEALTH
-            if topic is None:
-                continue
-            try:
-                self._take(topic, entry.decode(topic.message))
-            except DecodeError:
-                continue  # of somebody else's recorder: ours leaves out what can't be decoded
+        for topic, _, message in recording.messages(_WANTED):
+            self._take(topic, message)
 
     def _take(self, topic: Topic[Any], message: Message) -> None:
         if isinstance(message, ArmDescription):
