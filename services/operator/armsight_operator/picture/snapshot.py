@@ -1,6 +1,5 @@
 """One instant as files: what `armsight-vision --calibration … --image …` measures without a bus."""
 
-import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,11 +9,11 @@ from typing import TypeVar
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from google.protobuf.json_format import MessageToDict
 from google.protobuf.message import Message
 
 from armsight import topics
 from armsight.bus import Bus, Received
+from armsight.calibration import CalibrationFile, KnownCamera, write_calibration_file
 from armsight.times import from_timestamp
 from armsight.topics import Topic
 from armsight.v1.description_pb2 import ArmDescription
@@ -103,18 +102,13 @@ def write_snapshot(snapshot: Snapshot, folder: Path) -> dict[str, Path]:
         The pictures by camera.
 
     Raises:
-        OSError: the folder can't be written to.
+        OSError: the folder can't be made, or a picture not written.
+        ConfigError: the calibration can't be written.
         ValueError: a frame is not rgb8, or its data do not fill it.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    content = {
-        "description": MessageToDict(snapshot.description),
-        "cameras": {
-            name: {"calibration": MessageToDict(camera.calibration), "pose": MessageToDict(camera.pose)}
-            for name, camera in snapshot.cameras.items()
-        },
-    }
-    (folder / CALIBRATION).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    cameras = {name: KnownCamera(camera.calibration, camera.pose) for name, camera in snapshot.cameras.items()}
+    write_calibration_file(folder / CALIBRATION, CalibrationFile(cameras, description=snapshot.description))
     pictures = {name: folder / f"camera-{name}.png" for name in snapshot.cameras}
     for name, camera in snapshot.cameras.items():
         picture_of(name, camera.image).save(pictures[name])
