@@ -64,8 +64,8 @@ lint: setup  ## formatters, linters and type checkers, all of them
 	tools/lint.sh
 
 format: setup  ## rewrite everything the way lint wants it
-	$(BIN)/ruff check --fix $(PYTHON_PACKAGES) tests bench tools docs
-	$(BIN)/ruff format $(PYTHON_PACKAGES) tests bench tools docs
+	$(BIN)/ruff check --fix $(PYTHON_PACKAGES) tests bench tools docs examples
+	$(BIN)/ruff format $(PYTHON_PACKAGES) tests bench tools docs examples
 	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format -i
 	cargo fmt --manifest-path services/vision_cpp/zenoh_bridge/Cargo.toml
 

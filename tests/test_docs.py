@@ -126,6 +126,7 @@ COMPOSE, SECURE = "tests/test_compose.py::", "tests/test_compose_secure.py::"
 FILES, CERTS = "tests/test_compose_files.py::", "tests/test_secure.py::"
 MACHINES = SECURE + "test_two_machines_with_a_router_each"
 LINKED = "tests/test_two_machines.py::test_loop_runs_over_the_link_and_frames_stay_where_they_are_read"
+OWN = "tests/test_examples.py::test_the_loop_closes_over_"
 HERE, REPORT = "tests/test_docs.py::", "tests/test_report.py::"
 
 # Command → the test that runs it, or what it stands for.
@@ -179,6 +180,14 @@ ELSEWHERE: Mapping[str, str] = {
         ),
         "tests/test_conformance.py::test_our_own_services_fulfil_the_contract",
     ),
+    "armsight-control --mode track --connect tcp/127.0.0.1:7450": OWN + "a_vision_of_ones_own",
+    "python examples/hue_vision.py --connect tcp/127.0.0.1:7450": OWN + "a_vision_of_ones_own",
+    "armsight target 3.0 2.5 7.5 --connect tcp/127.0.0.1:7450": OWN + "a_vision_of_ones_own",
+    "armsight-control --estimator examples/gauss_newton_estimator.py:FromSetpoint"
+    " --solver examples/least_squares_solver.py:solve": OWN + "an_estimator_and_a_solver_of_ones_own",
+    "armsight describe services/sim/armsight_sim/models/arm.xml --json > arm.json": OWN + "a_learned_policy",
+    "python examples/train_policy.py arm.json policy.pt": OWN + "a_learned_policy",
+    "python examples/policy_controller.py policy.pt --connect tcp/127.0.0.1:7450": OWN + "a_learned_policy",
     # docs/recording.md
     "pip install 'armsight-operator[bridge]'": HERE + "test_bridge_is_an_extra_of_the_operator",
     "docker compose --profile record up --build --wait": COMPOSE

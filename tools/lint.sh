@@ -19,14 +19,14 @@ in_folder() { # in_folder FOLDER COMMAND...
     (cd "$1" && shift && "$@")
 }
 
-check "ruff format" "$bin/ruff" format --check --quiet proto services tests bench tools docs
-check "ruff check" "$bin/ruff" check --quiet proto services tests bench tools docs
+check "ruff format" "$bin/ruff" format --check --quiet proto services tests bench tools docs examples
+check "ruff check" "$bin/ruff" check --quiet proto services tests bench tools docs examples
 check "buf lint" in_folder proto "$bin/buf" lint
 check "mypy proto" in_folder proto "$bin/mypy" armsight tools hatch_build.py tests
 for service in sim control operator; do
     check "mypy $service" in_folder "services/$service" "$bin/mypy" "armsight_$service" tests
 done
-check "mypy tests" "$bin/mypy" tests bench tools docs/figures
+check "mypy tests" "$bin/mypy" tests bench tools docs/figures examples
 # broken links fail, but with --quiet; the variable: see Makefile
 check "docs" env NO_MKDOCS_2_WARNING=1 "$bin/mkdocs" build --strict
 # DL3008: Debian's stable release fixes versions itself, and drops those that had holes

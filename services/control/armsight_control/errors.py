@@ -38,3 +38,7 @@ class ModeError(ControlError):
 
 class SolverError(ControlError):
     """A target that can't be solved: unknown solver, bad target, or the solver is not there."""
+
+
+class OwnPartError(ControlError):
+    """A part of a person's own that can't be loaded, or gives back what is no answer."""

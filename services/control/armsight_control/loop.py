@@ -32,7 +32,7 @@ from armsight_control.chain import Array
 from armsight_control.decision import Decision, blind_code
 from armsight_control.description import Arm, arm_of
 from armsight_control.errors import ControlError, PositionsError, SetpointError, SolverError
-from armsight_control.estimators import Estimate, Observer, all_joints, check_estimator, part1, part2
+from armsight_control.estimators import Estimate, Observer, all_joints, check_estimator, observer_of, part1, part2
 from armsight_control.modes import Mode
 from armsight_control.movement import MotionOptions, Movement
 from armsight_control.positions import (
@@ -129,7 +129,7 @@ class Loop:
         self._setpoints.forget()
         self._movement.rest()
         try:
-            self._body = _Body(arm, Observer(self._estimator, arm, self._counters), DistanceBounds(arm))
+            self._body = _Body(arm, observer_of(self._estimator, arm, self._counters), DistanceBounds(arm))
             self._movement.describe(arm, message)
         except ControlError as error:
             self._refused = message
@@ -179,7 +179,7 @@ class Loop:
         if estimator != self._estimator:
             body = self._body
             if body is not None:
-                self._body = replace(body, observer=Observer(estimator, body.arm, self._counters))
+                self._body = replace(body, observer=observer_of(estimator, body.arm, self._counters))
             self._estimator = check_estimator(estimator)
         self._movement.tune(motion)
         if self._body is None and self._refused is not None:

@@ -22,6 +22,7 @@ from armsight.v1.control_pb2 import (
 )
 from armsight.v1.geometry_pb2 import Vector3
 from armsight.v1.joints_pb2 import JointSetpoint
+from armsight_control import own
 from armsight_control.aiming import free_of
 from armsight_control.chain import Array, Chain
 from armsight_control.description import vector3
@@ -39,7 +40,7 @@ from armsight_control.tracking import finite_target
 _PATIENCE_S = 4.0
 # In one request: what every batched solver does in a fraction of that time, even uncompiled.
 _MOST_TARGETS = 1000
-# The report's descent goes one by one, and takes up to 0.2 s for each.
+# The report's descent, and a solver of a person's own, go one by one; the former takes up to 0.2 s for each.
 _MOST_TARGETS_ONE_BY_ONE = 16
 
 _STATUS: dict[Status, IkStatus] = {
@@ -60,6 +61,7 @@ class Queries:
         self.settings = settings
         self._rng = np.random.default_rng(settings.seed)
         self._previous: Array | None = None
+        self._own_solver = settings.solver if own.is_place(settings.solver) else ""
 
     def mode(self, request: SetModeRequest) -> SetModeResponse:
         """Sets the mode; an empty request only asks for it."""
@@ -79,7 +81,7 @@ class Queries:
         """Solves for one target, or for many."""
         chain = self._chain()
         name = request.solver or self.settings.solver
-        check_solver(name)
+        self._check_solver(name)
         check_applies(name, chain)
         free = _free_of(request.free, chain)
         if request.targets:
@@ -130,6 +132,12 @@ class Queries:
             state = self._solvers.trouble or ("solver loading" if self._solvers.loading else "the solver is busy")
             raise SolverError(f"no solution within {_PATIENCE_S:g} s: {state}; ask again") from None
 
+    def _check_solver(self, name: str) -> None:
+        """Of a person's own only the one that control was started with: nothing is imported for the bus."""
+        if own.is_place(name) and name != self._own_solver:
+            raise SolverError(f"{name!r} is not what control was started with: start it with --solver {name}")
+        check_solver(name)
+
     def _chain(self) -> Chain:
         arm = self._loop.arm
         if arm is None:
@@ -148,7 +156,8 @@ def _free_of(names: Sequence[str], chain: Chain) -> tuple[int, ...]:
 
 
 def _targets_of(points: Sequence[Vector3], name: str) -> Array:
-    most = _MOST_TARGETS_ONE_BY_ONE if name == "gradient-descent" else _MOST_TARGETS
+    one_by_one = name == "gradient-descent" or own.is_place(name)
+    most = _MOST_TARGETS_ONE_BY_ONE if one_by_one else _MOST_TARGETS
     if len(points) > most:
         raise SolverError(f"{len(points)} targets: {name} takes at most {most} in one request")
     targets = []

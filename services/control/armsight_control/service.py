@@ -44,7 +44,7 @@ from armsight_control.modes import AIMING, NAMES, Mode
 from armsight_control.pursuit import Pursuit
 from armsight_control.queries import Queries
 from armsight_control.settings import Settings, parser, settings_of
-from armsight_control.solvers import check_applies, check_solver
+from armsight_control.solvers import check_applies
 from armsight_control.tuning import tunables, tuned
 
 # Without positions for this long the status says so, and again as often.
@@ -173,7 +173,6 @@ def main() -> int:
     arguments = parser().parse_args()
     try:
         settings = settings_of(arguments)
-        check_solver(settings.solver)
     except ArmsightError as error:
         print(f"control: {error}", file=sys.stderr)
         return EXIT_CONFIG

@@ -10,6 +10,7 @@ from armsight_control.detour import KEEP_M
 from armsight_control.errors import ControlError
 from armsight_control.modes import INITIAL_NAMES
 from armsight_control.movement import MotionOptions
+from armsight_control.solvers import SOLVERS, check_solver
 from armsight_control.solvers.options import GradientDescentOptions, Options
 from armsight_control.solvers.start import INITIALISATIONS, Initialisation
 from armsight_control.trajectory import MotionLimits
@@ -29,7 +30,9 @@ class Settings:
     way: MotionOptions
 
     def __post_init__(self) -> None:
-        """Refuses what can't work."""
+        """Refuses what can't work; imports parts of a person's own."""
+        estimators.check_estimator(self.estimator)
+        check_solver(self.solver)
         if self.seed < 0:
             raise ControlError(f"seed {self.seed} is below 0")
 
@@ -46,9 +49,10 @@ def parser() -> argparse.ArgumentParser:
     control.add_argument("--mode", choices=INITIAL_NAMES, default="hold", help="mode to begin with (default: hold)")
     control.add_argument(
         "--estimator",
-        choices=estimators.NAMES,
         default=estimators.all_joints.NAME,
-        help="of the joints' angles: all of them at once, or the report's Parts (default: %(default)s)",
+        metavar="NAME",
+        help=f"of the joints' angles: {', '.join(estimators.NAMES)}, or your own: module:Class or file.py:Class "
+        "(default: %(default)s)",
     )
     control.add_argument(
         "--speed", type=float, default=motion.speed_share, help="share of the joints' speed (default: %(default)s)"
@@ -78,7 +82,12 @@ def parser() -> argparse.ArgumentParser:
         "--seed", type=int, default=0, help="of all random numbers, so that runs repeat (default: %(default)s)"
     )
     ik = flags.add_argument_group("inverse kinematics")
-    ik.add_argument("--solver", default="torch", help="default: %(default)s")
+    ik.add_argument(
+        "--solver",
+        default="torch",
+        metavar="NAME",
+        help=f"{', '.join(SOLVERS)}, or your own: module:function or file.py:function (default: %(default)s)",
+    )
     ik.add_argument(
         "--initialisation",
         choices=INITIALISATIONS,

@@ -4,7 +4,7 @@ Speed only up to what control was started with, and neither acceleration nor jer
 room to brake by them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,8 +23,10 @@ def tunables(settings: Settings) -> tuple[Tunable, ...]:
     way, most = settings.way, settings.motion.speed_share
     return (
         Tunable("speed", "share of the joints' speed, at most --speed", most, "", min(0.01, most), most),
-        Tunable("estimator", "of the joints' angles", settings.estimator, choices=tuple(estimators.NAMES)),
-        Tunable("solver", "of inverse kinematics", settings.solver, choices=tuple(SOLVERS)),
+        Tunable(
+            "estimator", "of the joints' angles", settings.estimator, choices=_and(estimators.NAMES, settings.estimator)
+        ),
+        Tunable("solver", "of inverse kinematics", settings.solver, choices=_and(SOLVERS, settings.solver)),
         Tunable(
             "initialisation",
             "start of a query for inverse kinematics that gives none",
@@ -48,6 +50,11 @@ def tunables(settings: Settings) -> tuple[Tunable, ...]:
             10.0,
         ),
     )
+
+
+def _and(ours: Iterable[str], own: str) -> tuple[str, ...]:
+    """Ours, and the part of a person's own that control was started with: no other is imported."""
+    return tuple(dict.fromkeys((*ours, own)))
 
 
 def tuned(settings: Settings, values: Mapping[str, Value]) -> Settings:

@@ -440,6 +440,24 @@ def test_queries_answer_and_refuse_with_a_text(rig: Rig) -> None:
         rig.bus.query(SOLVE_IK, SolveIkRequest(targets=[target] * 17))
 
 
+def test_a_query_names_no_solver_that_control_was_not_started_with(rig: Rig, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def solve(chain, target, start, free):\n    return start\n")
+    (tmp_path / "other.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w')\n\ndef solve(*_): return 0\n")
+    rig.start("--solver", f"{tmp_path / 'mine.py'}:solve")
+    rig.reset(np.zeros(4))
+    target = Vector3(x=3.0, y=2.0, z=7.0)
+    for place in (f"{tmp_path / 'other.py'}:solve", "os:system"):
+        with pytest.raises(RefusedError, match="is not what control was started with"):
+            rig.bus.query(SOLVE_IK, SolveIkRequest(target=target, solver=place))
+        with pytest.raises(RefusedError, match="solver"):
+            rig.bus.query(
+                SET_PARAMETERS, SetParametersRequest(values={"solver": ParameterValue(text=place)}), "control"
+            )
+    assert not (tmp_path / "imported").exists()
+    start = rig.setpoints(np.array([0.1, 0.0, 0.2, 0.3]))
+    assert list(solved_once_loaded(rig, SolveIkRequest(target=target, start=start)).joints) == start
+
+
 def solved_once_loaded(rig: Rig, request: SolveIkRequest) -> SolveIkResponse:
     """Until the solver is there it refuses, and says why."""
     answers: list[SolveIkResponse] = []

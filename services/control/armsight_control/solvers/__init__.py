@@ -5,7 +5,7 @@ before any solver sees it, and the solution says so: near and beyond the edge of
 alike. For other chains the batched solvers go as near as they can and say that.
 """
 
-from armsight_control.solvers.dispatch import BESIDE_THE_LOOP, SOLVERS, check_applies, check_solver, solve, solve_batch
+from armsight_control.solvers.dispatch import SOLVERS, beside_the_loop, check_applies, check_solver, solve, solve_batch
 from armsight_control.solvers.options import (
     ClosedFormOptions,
     GradientDescentOptions,
@@ -16,7 +16,6 @@ from armsight_control.solvers.options import (
 from armsight_control.solvers.problem import REPORT_FREE, Problem, Solution, Solutions, Status
 
 __all__ = [
-    "BESIDE_THE_LOOP",
     "REPORT_FREE",
     "SOLVERS",
     "ClosedFormOptions",
@@ -28,6 +27,7 @@ __all__ = [
     "Solutions",
     "Status",
     "TorchOptions",
+    "beside_the_loop",
     "check_applies",
     "check_solver",
     "solve",

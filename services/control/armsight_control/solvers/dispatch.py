@@ -3,15 +3,17 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight_control import own as own_parts
 from armsight_control.chain import Array, Chain
 from armsight_control.errors import SolverError
 from armsight_control.folded import check_free, fold
 from armsight_control.kinematics import Links, forward, links_of_report, need_report
-from armsight_control.solvers import closed_form, redundant
+from armsight_control.solvers import closed_form, own, redundant
 from armsight_control.solvers.options import Options
 from armsight_control.solvers.problem import REPORT_FREE, Found, Problem, Solution, Solutions, Status, Task
 from armsight_control.solvers.workspace import Moving, nearest_reachable, reached
@@ -70,22 +72,34 @@ SOLVERS: dict[str, Callable[[Task], Found]] = {
     "closed-form": _closed_form,
 }
 
-BESIDE_THE_LOOP = frozenset({"torch", "gradient-descent", "levenberg-marquardt"})
-"""Too slow, or too slow to load, for the process that answers frames."""
-
+_IN_THE_LOOP = frozenset({"closed-form"})
 
 OF_THE_REPORT = frozenset({"gradient-descent", "closed-form"})
 """For an arm of its shape alone."""
 
 
+def beside_the_loop(name: str) -> bool:
+    """Whether a solver is too slow, or too slow to load, or too little known, for the process that answers frames."""
+    return name not in _IN_THE_LOOP
+
+
 def check_solver(name: str) -> None:
-    """Refuses a name that no solver has.
+    """Refuses a name that no solver has; a solver of one's own (:mod:`.own`) is imported for it.
 
     Raises:
         SolverError: with the names that there are.
+        OwnPartError: there is nothing to call at this place.
     """
+    _function_of(name)
+
+
+def _function_of(name: str) -> Callable[[Task], Found]:
+    if own_parts.is_place(name):
+        own_parts.load(name)
+        return partial(own.solve, name)
     if name not in SOLVERS:
         raise SolverError(f"no solver {name!r}; there are {', '.join(SOLVERS)}")
+    return SOLVERS[name]
 
 
 def check_applies(name: str, chain: Chain) -> None:
@@ -179,7 +193,7 @@ def _solve_alike(
     folded = fold(chain, free, tuple(first[i] for i in _held(chain.count, free)))
     task = Task(chain, folded, targets, starts, options)
     aims, reachable = _aims(task)
-    found = SOLVERS[name](replace(task, aims=aims))
+    found = _function_of(name)(replace(task, aims=aims))
     q = starts.copy()
     q[:, free] = found.q
     q = chain.clip(q)

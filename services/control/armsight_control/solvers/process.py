@@ -16,11 +16,11 @@ from typing import Any, Generic, Literal, TypeVar
 from armsight_control.chain import Array, Chain
 from armsight_control.errors import ControlError, SolverError
 from armsight_control.solvers import (
-    BESIDE_THE_LOOP,
     Options,
     Problem,
     Solution,
     Solutions,
+    beside_the_loop,
     check_solver,
     solve,
 )
@@ -92,7 +92,7 @@ class Solvers:
             SolverError: no solver of that name.
         """
         check_solver(name)
-        if name in BESIDE_THE_LOOP:
+        if beside_the_loop(name):
             self._begin()
 
     def _begin(self) -> None:
@@ -109,7 +109,7 @@ class Solvers:
         """
         self.prepare(name)
         future: Future[Timed[Solution]] = Future()
-        if name in BESIDE_THE_LOOP:
+        if beside_the_loop(name):
             self._jobs.put(_Job("solve", (name, problem), future))
             return future
         began = perf_counter()
