@@ -9,8 +9,11 @@ from collections import deque
 from armsight.times import NS_PER_S
 
 WINDOW_NS = NS_PER_S // 2
-"""Of what was heard lately. Short: a simulation that can't keep up falls behind by the second, and frames that are
-ahead of it would be refused."""
+"""Of what was heard lately."""
+
+_FELL_BEHIND = 2
+"""Messages one after the other, each later by more than a period: so long the bus holds nothing back, but a simulation
+that could not keep up has fallen behind. It would refuse frames that are ahead of it."""
 
 ANOTHER_CLOCK_NS = NS_PER_S
 """No delay is that long: one who says an earlier time than this has begun anew."""
@@ -30,18 +33,22 @@ class ArmClock:
         self.changes = 0
         """How often another clock came into force: capture times may have gone back with it."""
 
-    def heard(self, clock_ns: int, received_ns: int) -> None:
+    def heard(self, clock_ns: int, received_ns: int, period_ns: int) -> None:
         """Takes what `clock` said.
 
         Args:
             clock_ns: the capture time that it said.
             received_ns: when it came, on the monotonic clock.
+            period_ns: from one message to the next.
         """
         offset_ns = clock_ns - received_ns
         if not self._heard or abs(offset_ns - self._offset_ns) > ANOTHER_CLOCK_NS:
             self._heard.clear()
             self.changes += 1
         self._heard.append((received_ns, offset_ns))
+        last = list(self._heard)[-_FELL_BEHIND:]
+        if len(last) == _FELL_BEHIND and max(offset for _, offset in last) < self._offset_ns - period_ns:
+            self._heard = deque(last)
         while received_ns - self._heard[0][0] > WINDOW_NS:
             self._heard.popleft()
         self._offset_ns = max(offset for _, offset in self._heard)

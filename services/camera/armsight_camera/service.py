@@ -13,7 +13,7 @@ from armsight.bus import Received
 from armsight.images import encode_rgb8
 from armsight.parameters import Tunable, Value
 from armsight.service import Context
-from armsight.times import NS_PER_S, from_timestamp, to_timestamp, wall_ns
+from armsight.times import NS_PER_S, from_duration, from_timestamp, to_timestamp, wall_ns
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP, Clock
 from armsight_camera.arm_clock import ArmClock
 from armsight_camera.capture import Capture, Ended, Event, Frame, Lost, Opened, Opener, Unfit
@@ -200,7 +200,9 @@ class Cameras:
 
     def _hear_clock(self, received: Received[Clock]) -> None:
         self._lockstep = received.message.mode == CLOCK_MODE_LOCKSTEP
-        self._clock.heard(from_timestamp(received.message.capture_time), round(received.received_s * NS_PER_S))
+        said = received.message
+        period_ns = round(from_duration(said.period) * NS_PER_S)
+        self._clock.heard(from_timestamp(said.capture_time), round(received.received_s * NS_PER_S), period_ns)
 
     def _tune(self, values: Mapping[str, Value]) -> None:
         self._latency_ns = round(float(values["latency_ms"]) * _MS)

@@ -241,7 +241,7 @@ def test_external_cameras_need_no_opengl(endpoint: str, bus: Bus) -> None:
     clock = bus.subscriber(topics.CLOCK)
     # a back end that is not there
     environment = os.environ | {"MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "egl", "__EGL_VENDOR_LIBRARY_DIRS": "/nowhere"}
-    command = [EXECUTABLE, "--connect", endpoint, "--external-cameras", "1", "2"]
+    command = [str(EXECUTABLE), "--connect", endpoint, "--external-cameras", "1", "2"]
     with subprocess.Popen(command, env=environment) as process:
         try:
             taken(clock)
