@@ -39,7 +39,7 @@ class ArmClock:
         Args:
             clock_ns: the capture time that it said.
             received_ns: when it came, on the monotonic clock.
-            period_ns: from one message to the next.
+            period_ns: from one message to the next; 0 where it is not known.
         """
         offset_ns = clock_ns - received_ns
         if not self._heard or abs(offset_ns - self._offset_ns) > ANOTHER_CLOCK_NS:
@@ -47,7 +47,7 @@ class ArmClock:
             self.changes += 1
         self._heard.append((received_ns, offset_ns))
         last = list(self._heard)[-_FELL_BEHIND:]
-        if len(last) == _FELL_BEHIND and max(offset for _, offset in last) < self._offset_ns - period_ns:
+        if period_ns > 0 and len(last) == _FELL_BEHIND and max(offset for _, offset in last) < self._offset_ns - period_ns:
             self._heard = deque(last)
         while received_ns - self._heard[0][0] > WINDOW_NS:
             self._heard.popleft()
