@@ -47,7 +47,8 @@ class ArmClock:
             self.changes += 1
         self._heard.append((received_ns, offset_ns))
         last = list(self._heard)[-_FELL_BEHIND:]
-        if period_ns > 0 and len(last) == _FELL_BEHIND and max(offset for _, offset in last) < self._offset_ns - period_ns:
+        held_up_ns = self._offset_ns - max(offset for _, offset in last)
+        if len(last) == _FELL_BEHIND and held_up_ns > period_ns > 0:
             self._heard = deque(last)
         while received_ns - self._heard[0][0] > WINDOW_NS:
             self._heard.popleft()
