@@ -30,7 +30,7 @@ from armsight_camera.errors import SizeError, SourceError
 from armsight_camera.service import Cameras
 from armsight_camera.settings import Settings, Wanted, argument_parser, parse_settings
 from armsight_camera.source import Image
-from pictures import HEIGHT, WIDTH, write_calibration, write_folder, write_video
+from camera_files import HEIGHT, WIDTH, write_calibration, write_folder, write_video
 
 RUN = (sys.executable, "-m", "armsight_camera.main")
 PERIOD_S = 0.02

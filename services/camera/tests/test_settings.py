@@ -8,7 +8,7 @@ from armsight.calibration import CalibrationFile, KnownCamera, write_calibration
 from armsight.errors import ConfigError
 from armsight_camera.devices import Kind, parse_devices
 from armsight_camera.settings import Settings, argument_parser, parse_settings
-from pictures import HEIGHT, WIDTH, known, write_calibration, write_folder, write_video
+from camera_files import HEIGHT, WIDTH, known, write_calibration, write_folder, write_video
 
 
 def parsed(flags: Sequence[str]) -> Settings:

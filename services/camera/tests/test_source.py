@@ -10,7 +10,7 @@ from armsight_camera.devices import Device, Kind
 from armsight_camera.errors import SourceError
 from armsight_camera.settings import Wanted
 from armsight_camera.source import Source, open_source, rgb8
-from pictures import HEIGHT, WIDTH, picture, write_folder, write_video
+from camera_files import HEIGHT, WIDTH, picture, write_folder, write_video
 
 WANTED = Wanted(WIDTH, HEIGHT)
 
