@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 PROJECT = "armsight-test"
 EXECUTABLE = Path(sys.executable).with_name("armsight")
 ROBOT, SECOND = "robots/arm", "robots/arm-2"
-IMAGES = ("operator", "sim", "vision", "control")
+IMAGES = ("operator", "sim", "vision", "control", "camera")
 BUILD_S, UP_S = 2400, 120
 
 pytestmark = [pytest.mark.docker, pytest.mark.timeout(BUILD_S + 300)]
@@ -101,7 +101,7 @@ def follows(status: dict[str, Any]) -> bool:
 @pytest.fixture(scope="module")
 def compose() -> Iterator[Compose]:
     compose = Compose()
-    compose("build", timeout_s=BUILD_S)
+    compose("--profile", "camera", "build", timeout_s=BUILD_S)
     compose("up", "--detach", "--wait")
     yield compose
     compose("down", "--volumes", "--timeout", "5")
@@ -198,6 +198,42 @@ def assert_two_robots_have_nothing_of_each_other(compose: Compose) -> None:
         assert compose.wait_until_it_follows(60)["mode"] == "track"
     finally:
         compose("--profile", "two-robots", "rm", "--stop", "--force", "sim-2", "vision-2", "control-2")
+
+
+def test_vision_measures_what_cameras_in_a_container_bring(
+    compose: Compose, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compose.wait_until_it_follows(60)
+    port = compose.environment["ARMSIGHT_PORT"]
+    snapshot = [str(EXECUTABLE), "snapshot", str(tmp_path / "camera"), "--connect", f"tcp/127.0.0.1:{port}"]
+    subprocess.run(snapshot, timeout=30, check=True, capture_output=True)
+    for name in ("1", "2"):
+        (tmp_path / "camera" / name).mkdir()
+        (tmp_path / "camera" / f"camera-{name}.png").rename(tmp_path / "camera" / name / "0.png")
+    tmp_path.chmod(0o755)  # the container is somebody else's
+    monkeypatch.setitem(compose.environment, "ARMSIGHT_EXTERNAL_CAMERAS", "1 2")
+    monkeypatch.setitem(compose.environment, "ARMSIGHT_CAMERA_FOLDER", str(tmp_path / "camera"))
+    monkeypatch.setitem(compose.environment, "ARMSIGHT_CAMERA", "--device /camera/1 --device /camera/2 --loop")
+    for device in ("ARMSIGHT_VIDEO_1", "ARMSIGHT_VIDEO_2"):
+        monkeypatch.setitem(compose.environment, device, "/dev/null")
+    compose("--profile", "camera", "up", "--detach", "--wait")
+    try:
+        deadline = time.monotonic() + 60
+        while True:
+            states = {service["name"]: service for service in compose.status()["services"]}
+            if {states.get(name, {}).get("status") for name in ("sim", "vision", "camera")} == {"ok"}:
+                break
+            assert time.monotonic() < deadline, states
+        before = counted(compose, "frames_received")
+        while counted(compose, "frames_received") < before + 30:
+            assert time.monotonic() < deadline, compose.status()
+        assert "command_refused_future" not in states["sim"]["counters"]
+        assert compose("exec", "-T", "camera", "id", "-u").strip() == "10001"
+    finally:
+        compose("--profile", "camera", "rm", "--stop", "--force", "camera")
+        monkeypatch.undo()
+        compose("up", "--detach", "--wait", "--remove-orphans")
+    compose.wait_until_it_follows(60)
 
 
 def test_frames_come_by_shared_memory_where_it_is_shared(compose: Compose) -> None:

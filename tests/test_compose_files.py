@@ -20,6 +20,8 @@ BUS = ("router", "sim", "vision", "control", "operator", "page")
 BEARERS = BUS[:-1]
 """Of certificates: the page has the operator's."""
 
+CAMERAS = "ARMSIGHT_EXTERNAL_CAMERAS"
+
 HAS_COMPOSE = (
     shutil.which("docker")
     and not subprocess.run(["docker", "compose", "version"], capture_output=True, check=False).returncode
@@ -45,6 +47,11 @@ def services(*files: str, profile: str = "", **environment: str) -> Services:
     assert ended.returncode == 0, ended.stderr
     assert ended.stderr == "", "compose has something to complain about"
     return dict(json.loads(ended.stdout)["services"])
+
+
+def own_cameras(environment: dict[str, str]) -> dict[str, str]:
+    """Of sim without cameras of somebody else's, which the first robot alone may have."""
+    return {name: value for name, value in environment.items() if name != CAMERAS}
 
 
 @pytest.fixture(params=[(BASE,), (BASE, SECURE)], ids=["plain", "secure"])
@@ -73,7 +80,7 @@ def test_the_second_robot_is_the_first_under_another_name() -> None:
     assert set(both) == {*BUS, "sim-2", "vision-2", "control-2"}
     for name in ("sim", "vision", "control"):
         first, second = both[name], both[f"{name}-2"]
-        assert second["environment"] == first["environment"] | {"ARMSIGHT_NAMESPACE": "robots/arm-2"}
+        assert second["environment"] == own_cameras(first["environment"]) | {"ARMSIGHT_NAMESPACE": "robots/arm-2"}
         for said in ("image", "command", "mem_limit", "tmpfs", "read_only", "cap_drop"):
             assert second.get(said) == first.get(said), (name, said)
 
@@ -121,7 +128,7 @@ def test_certificates_that_compose_makes_are_those_that_it_mounts(tmp_path: Path
         main(command[1:])
     assert not ended.value.code
     folder = Folder(tmp_path)
-    assert set(folder.names()) == {*BEARERS, "recorder"}
+    assert set(folder.names()) == {*BEARERS, "camera", "recorder"}
     router = next(entry for entry in folder.entries() if entry.name == "router")
     assert {"router", "127.0.0.1"} <= set(router.hosts)  # as services and as its own health check call it
     for name in BEARERS[1:]:
@@ -147,6 +154,32 @@ def test_a_recorder_is_as_confined_as_the_others_and_asked_for_its_health(files:
     assert own == ([str(ROOT / "certs" / "recorder")] if SECURE in files else [])
 
 
+@pytest.mark.parametrize("files", [(BASE,), (BASE, SECURE)], ids=["plain", "secure"])
+def test_cameras_are_as_confined_as_the_others_and_have_their_devices_alone(files: tuple[str, ...]) -> None:
+    every = services(*files, profile="camera", ARMSIGHT_EXTERNAL_CAMERAS="1 2", ARMSIGHT_VIDEO_2="/dev/video7")
+    assert set(every) == {*BUS, "camera"}
+    camera, operator = every["camera"], every["operator"]
+    for said in ("environment", "mem_limit", "cpus", "pids_limit", "read_only", "cap_drop", "security_opt"):
+        assert camera[said] == operator[said], said
+    assert "ports" not in camera
+    assert [(device["source"], device["target"]) for device in camera["devices"]] == [
+        ("/dev/video0", "/dev/video0"),
+        ("/dev/video7", "/dev/video2"),
+    ]
+    assert camera["group_add"] == ["video"]
+    command = ["armsight-camera", "--calibration", "/camera/calibration.json"]
+    assert camera["command"] == [*command, "--device", "/dev/video0", "--device", "/dev/video2"]
+    assert all(volume["read_only"] for volume in camera["volumes"])
+    places = {volume["target"]: volume["source"] for volume in camera["volumes"]}
+    own = {"/etc/armsight": str(ROOT / "certs" / "camera")} if SECURE in files else {}
+    assert places == {"/camera": str(ROOT / "camera")} | own
+    assert every["sim"]["environment"][CAMERAS] == "1 2"
+
+
+def test_sim_draws_its_own_cameras_unless_told_otherwise(either: Services) -> None:
+    assert either["sim"]["environment"][CAMERAS] == ""
+
+
 def test_two_machines_have_each_service_once_and_a_router_each() -> None:
     edge = services(BASE, SECURE, EDGE, ARMSIGHT_CENTER="center.local", ARMSIGHT_CENTER_PORT="17447")
     center = services(BASE, SECURE, CENTER, ARMSIGHT_BIND="10.0.0.7")
@@ -170,6 +203,6 @@ def test_second_robot_with_certificates_is_the_second_robot() -> None:
     both = services(BASE, SECURE, profile="two-robots")
     for name in ("sim", "vision", "control"):
         first, second = both[name], both[f"{name}-2"]
-        assert second["environment"] == first["environment"] | {"ARMSIGHT_NAMESPACE": "robots/arm-2"}
+        assert second["environment"] == own_cameras(first["environment"]) | {"ARMSIGHT_NAMESPACE": "robots/arm-2"}
         for said in ("image", "command", "mem_limit", "tmpfs", "read_only", "cap_drop", "volumes", "user"):
             assert second.get(said) == first.get(said), (name, said)

@@ -16,7 +16,11 @@ SERVICE = ROOT / "services" / "vision_cpp" / "src" / "service"
 RECORDER = ROOT / "services" / "operator" / "armsight_operator" / "recording" / "recorder.py"
 CONFORMANCE = ROOT / "services" / "operator" / "armsight_operator" / "conformance"
 PLAYED = {"vision": ("sim",), "control": ("sim", "vision"), "sim": ("vision", "control")}
-PYTHON = {"sim": "services/sim/armsight_sim", "control": "services/control/armsight_control"}
+PYTHON = {
+    "sim": "services/sim/armsight_sim",
+    "control": "services/control/armsight_control",
+    "camera": "services/camera/armsight_camera",
+}
 
 Uses = dict[str, set[str]]
 """Names of rows by what is done with them: publisher, subscriber, serve, query, presence."""

@@ -127,6 +127,7 @@ FILES, CERTS = "tests/test_compose_files.py::", "tests/test_secure.py::"
 MACHINES = SECURE + "test_two_machines_with_a_router_each"
 LINKED = "tests/test_two_machines.py::test_loop_runs_over_the_link_and_frames_stay_where_they_are_read"
 OWN = "tests/test_examples.py::test_the_loop_closes_over_"
+CAMERAS = "tests/test_camera.py::test_arm_is_measured_and_answered_through_cameras_that_are_not_sims"
 HERE, REPORT = "tests/test_docs.py::", "tests/test_report.py::"
 
 # Command → the test that runs it, or what it stands for.
@@ -144,6 +145,13 @@ ELSEWHERE: Mapping[str, str] = {
     ".venv/bin/armsight report --out report-out --quick": REPORT + "test_pictures_and_markdown_are_written",
     # docs/own-arm.md
     "armsight up --model services/sim/armsight_sim/models/five.xml": "tests/test_another_arm.py::test_up_runs_a_model",
+    # docs/own-camera.md
+    "armsight-sim --external-cameras 1 2": CAMERAS,
+    "armsight-camera --device 0 --device 2 --calibration calibration.json": CAMERAS,
+    "mkdir snap/1 snap/2 && cp snap/camera-1.png snap/1 && cp snap/camera-2.png snap/2": CAMERAS,
+    "armsight-camera --device snap/1 --device snap/2 --calibration snap/calibration.json": CAMERAS,
+    'ARMSIGHT_EXTERNAL_CAMERAS="1 2" docker compose --profile camera up --build --wait': COMPOSE
+    + "test_vision_measures_what_cameras_in_a_container_bring",
     # docs/security.md
     "armsight up --certificates certs": CERTS + "test_commands_of_the_documentation_run_the_stack",
     "armsight status --zenoh-config certs/operator/zenoh.json5": CERTS

@@ -29,7 +29,7 @@ ELSEWHERE = {
     "services/control/docs/denavit-hartenberg.md": "denavit-hartenberg.md",
 }
 # Linked folders and files whose place on the site is a page about them.
-STANDS_FOR = {"proto": "messages.md", "proto/armsight/topics.toml": "keys.md"}
+STANDS_FOR = {"proto": "messages.md", "proto/armsight/topics.toml": "keys.md", "examples": "own-part.md"}
 
 _LINK = re.compile(r"(!?\[[^\]]*\]\()([^)#\s]+)(#[^)\s]*)?(\))")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)

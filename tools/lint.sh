@@ -23,7 +23,7 @@ check "ruff format" "$bin/ruff" format --check --quiet proto services tests benc
 check "ruff check" "$bin/ruff" check --quiet proto services tests bench tools docs examples
 check "buf lint" in_folder proto "$bin/buf" lint
 check "mypy proto" in_folder proto "$bin/mypy" armsight tools hatch_build.py tests
-for service in sim control operator; do
+for service in sim control camera operator; do
     check "mypy $service" in_folder "services/$service" "$bin/mypy" "armsight_$service" tests
 done
 check "mypy tests" "$bin/mypy" tests bench tools docs/figures examples

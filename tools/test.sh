@@ -56,6 +56,7 @@ check "vision with sanitizers" tools/sanitize.sh
 check "vision fuzzed" tools/fuzz.sh 20
 check "proto" "$bin/pytest" -q -m "not long" proto/tests
 check "services/sim" "$bin/pytest" -q -m "not long" services/sim/tests
+check "services/camera" "$bin/pytest" -q -m "not long" services/camera/tests
 # they mostly wait: for processes, and for what must not happen
 check "services/control" "$bin/pytest" -q -m "not long" --numprocesses 2 --dist loadfile services/control/tests
 check "services/operator" "$bin/pytest" -q -m "not long" --numprocesses 4 --dist loadfile services/operator/tests

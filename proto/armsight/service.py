@@ -72,14 +72,16 @@ class HealthReporter:
             self._gauges[name] = value
 
     def close(self) -> None:
-        """Withdraws the token and stops publishing."""
+        """Says how it ends, withdraws the token and stops publishing."""
         self._closing = True
         self._changed.set()
         self._thread.join(timeout=1.0)
         self._token.undeclare()  # type: ignore[no-untyped-call]
 
     def _publish(self) -> None:
-        while not self._closing:
+        closing = False
+        while not closing:
+            closing = self._closing
             with self._lock:
                 health = Health(
                     service=self._service,
@@ -93,8 +95,9 @@ class HealthReporter:
                     version=VERSION,
                 )
             self._publisher.put(health)
-            self._changed.wait(HEALTH_PERIOD_S)
-            self._changed.clear()
+            if not closing:
+                self._changed.wait(HEALTH_PERIOD_S)
+                self._changed.clear()
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

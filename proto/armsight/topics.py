@@ -40,7 +40,7 @@ Delivery = Literal["latched", "drop", "block"]
 SERVICES = ("sim", "vision", "control")
 """The services of the loop, in the order in which data pass them."""
 
-EACH = (*SERVICES, "recorder")
+EACH = (*SERVICES, "camera", "recorder")
 """Those that have a health of their own: what the table calls "each"."""
 
 WHO = (*EACH, "operator", "viewer")

@@ -44,7 +44,7 @@ class Cameras:
 
         Args:
             model: left as it is.
-            names: of the cameras to draw.
+            names: of the cameras to draw; none needs no OpenGL.
             width: columns of the images of cameras whose `resolution` says nothing.
             height: rows of these.
             samples: per pixel, 0 or 4 (software GL gives no more).
@@ -63,8 +63,8 @@ class Cameras:
         self.sizes = [picture_size(model, name, width, height) for name in names]
         """Of the cameras' images in their order: columns and rows."""
         buffer = drawn.vis.global_
-        buffer.offwidth = max(buffer.offwidth, *(columns for columns, _ in self.sizes))
-        buffer.offheight = max(buffer.offheight, *(rows for _, rows in self.sizes))
+        buffer.offwidth = max((buffer.offwidth, *(columns for columns, _ in self.sizes)))
+        buffer.offheight = max((buffer.offheight, *(rows for _, rows in self.sizes)))
         self._drawn = drawn
         self._renderers = {size: mujoco.Renderer(drawn, size[1], size[0]) for size in dict.fromkeys(self.sizes)}
         self._options = mujoco.MjvOption()

@@ -44,9 +44,14 @@ class Decision:
 class CommandGate:
     """Decides on commands in the order in which they arrive; remembers the last instant that was answered."""
 
-    def __init__(self, world: World) -> None:
-        """Takes names and limits from the world."""
-        self._world = world
+    def __init__(self, world: World, *, external_cameras: bool = False) -> None:
+        """Takes names and limits from the world.
+
+        Args:
+            world: of the arm.
+            external_cameras: whether frames are not the simulation's own: then they may be of any instant up to now.
+        """
+        self._world, self._external_cameras = world, external_cameras
         self._last_answered_ns: int | None = None
         self._not_before_ns = 0
 
@@ -60,11 +65,12 @@ class CommandGate:
         Args:
             command: as it came from the bus.
             now_ns: simulated time now.
-            latest_capture_ns: instant of the last frames: nothing can answer a later one.
+            latest_capture_ns: instant of the simulation's last frames: nothing can answer a later one, where there are
+                no others.
             stopped: whether a stop is in force.
         """
         answers_ns = from_timestamp(command.answers)
-        refusal = self._refusal(command, answers_ns, now_ns, latest_capture_ns)
+        refusal = self._refusal(command, answers_ns, now_ns, now_ns if self._external_cameras else latest_capture_ns)
         if refusal is not None:
             return refusal
         self._last_answered_ns = answers_ns
@@ -74,8 +80,8 @@ class CommandGate:
             return _refuse("stopped", "the arm is stopped: release it first")
         return self._goal(command)
 
-    def _refusal(self, command: JointCommand, answers_ns: int, now_ns: int, latest_capture_ns: int) -> Decision | None:
-        if answers_ns > latest_capture_ns:
+    def _refusal(self, command: JointCommand, answers_ns: int, now_ns: int, latest_ns: int) -> Decision | None:
+        if answers_ns > latest_ns:
             return _refuse("future", f"answers {answers_ns}, an instant that has not been seen yet")
         if answers_ns < self._not_before_ns:
             return _refuse("before_reset", "answers an instant before the last reset")

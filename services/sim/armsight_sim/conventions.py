@@ -4,7 +4,6 @@ They are told in docs/own-arm.md and, by example, in models/arm.xml.
 """
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -13,15 +12,13 @@ import numpy as np
 
 from armsight_sim.anatomy import MARKER, Element, Kind, Places, balls, carrier, moves, place_of, shape_of, tip_of
 from armsight_sim.errors import ModelError
-from armsight_sim.settings import LEAST_SIDE_PX, MOST_SIDE_PX
+from armsight_sim.settings import LEAST_SIDE_PX, MOST_SIDE_PX, NAME
 
 # What vision needs to tell colours apart (services/vision_cpp/src/classify.cpp).
 LEAST_HUE_DISTANCE_RAD = math.radians(12)
 LEAST_SATURATION = 0.15
 MOST_MARKERS, MOST_CAMERAS = 64, 16
 
-_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
-"""What a key on the bus may have in it."""
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 _SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE
 _OWN_COLOR = "give it a colour far from grey: rgba of its own, or a material"
@@ -37,8 +34,13 @@ class Finding:
     """Whether the arm can't be used before it is mended; else it works, but less well."""
 
 
-def findings(model: mujoco.MjModel) -> list[Finding]:
-    """Everything that is missing or wrong, in the order of docs/own-arm.md."""
+def findings(model: mujoco.MjModel, *, with_cameras: bool = True) -> list[Finding]:
+    """Everything that is missing or wrong, in the order of docs/own-arm.md.
+
+    Args:
+        model: of an arm.
+        with_cameras: whether its cameras are used.
+    """
     chain = list(_chain(model))
     return [
         *chain,
@@ -47,18 +49,24 @@ def findings(model: mujoco.MjModel) -> list[Finding]:
         *_tip(model),
         *_markers(model),
         *([] if chain else _seen(model)),
-        *_cameras(model),
+        *(_cameras(model) if with_cameras else ()),
         *_weight(model),
     ]
 
 
-def check(model: mujoco.MjModel) -> None:
+def check(model: mujoco.MjModel, *, with_cameras: bool = True) -> None:
     """Refuses a model that can't be used.
+
+    Args:
+        model: of an arm.
+        with_cameras: whether its cameras are used.
 
     Raises:
         ModelError: with everything that has to be mended.
     """
-    wrong = [f"{finding.what}: {finding.mend}" for finding in findings(model) if finding.breaks]
+    wrong = [
+        f"{finding.what}: {finding.mend}" for finding in findings(model, with_cameras=with_cameras) if finding.breaks
+    ]
     if wrong:
         raise ModelError("; ".join(wrong))
 
@@ -171,7 +179,7 @@ def _markers(model: mujoco.MjModel) -> Iterator[Finding]:
     names: set[str] = set()
     for ball in found:
         geom = ball.kind is Kind.GEOM
-        if not _NAME.fullmatch(ball.name):
+        if not NAME.fullmatch(ball.name):
             yield Finding(f"{ball.label} is no name for a marker", "use letters, digits, '_', '-' and '.', at most 64")
         if ball.name in names:
             yield Finding(f"there are two markers {ball.name}", "give each a name of its own")
@@ -240,7 +248,7 @@ def _cameras(model: mujoco.MjModel) -> Iterator[Finding]:
     for index in range(model.ncam):
         camera = model.camera(index)
         name = f"camera {camera.name or index}"
-        if not _NAME.fullmatch(camera.name):
+        if not NAME.fullmatch(camera.name):
             yield Finding(f"{name} has no name for a key", "use letters, digits, '_', '-' and '.', at most 64")
         if moves(model, int(model.cam_bodyid[index])) or model.body_mocapid[model.cam_bodyid[index]] >= 0:
             yield Finding(f"{name} moves", "put it into the worldbody: vision takes a camera's pose as fixed")

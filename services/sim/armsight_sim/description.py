@@ -1,6 +1,7 @@
 """The arm and its cameras as messages, read from the MuJoCo model: they are described nowhere else."""
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -35,13 +36,20 @@ _LARGEST_LINK_M = 1e3
 _SHAPES = {int(_SPHERE): SHAPE_SPHERE, int(mujoco.mjtGeom.mjGEOM_BOX): SHAPE_BOX}
 
 
-def describe_arm(model: mujoco.MjModel, with_bodies: bool = False) -> ArmDescription:
-    """The description of the arm in its model, and of the bodies that move by themselves beside it when they are drawn.
+def describe_arm(
+    model: mujoco.MjModel, with_bodies: bool = False, external_cameras: Sequence[str] = ()
+) -> ArmDescription:
+    """The description of the arm in its model.
+
+    Args:
+        model: of the arm.
+        with_bodies: describe the bodies that move by themselves beside it, too: they are drawn.
+        external_cameras: names of the cameras that see it, in the place of the model's.
 
     Raises:
         ModelError: the model does not follow the conventions; with everything that has to be mended.
     """
-    conventions.check(model)
+    conventions.check(model, with_cameras=not external_cameras)
     places, speeds = Places(model), conventions.max_speeds(model)
     tip = tip_of(model)
     assert tip is not None
@@ -50,7 +58,7 @@ def describe_arm(model: mujoco.MjModel, with_bodies: bool = False) -> ArmDescrip
         world_from_base=Transform(translation=_vector3(places.p_world_base), rotation=_quaternion(places.R_world_base)),
         joints=[_joint(model, places, speeds, index) for index in range(model.njnt)],
         tip=_attachment(model, places, *tip),
-        cameras=camera_names(model),
+        cameras=external_cameras or camera_names(model),
     )
     for ball in balls(model):
         position, size = shape_of(model, ball)

@@ -39,6 +39,12 @@ def choose_gl() -> str:
     return name
 
 
+def draw_nothing() -> str:
+    """Keeps MuJoCo from looking for OpenGL, which need not be there; returns no name."""
+    os.environ["MUJOCO_GL"] = "disable"
+    return ""
+
+
 def _draw_once() -> None:
     import mujoco
 

@@ -5,9 +5,10 @@ import sys
 
 from armsight.errors import ArmsightError, ConfigError
 from armsight.service import EXIT_CONFIG, Context, run_service
+from armsight.shared_memory import Use
 from armsight.v1.health_pb2 import HEALTH_STATUS_WAITING
 from armsight_sim.errors import PoseError
-from armsight_sim.gl import choose_gl
+from armsight_sim.gl import choose_gl, draw_nothing
 from armsight_sim.settings import Settings, argument_parser, parse_settings
 
 log = logging.getLogger(__name__)
@@ -18,8 +19,9 @@ def main() -> int:
     arguments = argument_parser().parse_args()
     try:
         settings = parse_settings(arguments)
-        gl = "" if arguments.health else choose_gl()
-        if gl:
+        gl = ""
+        if not arguments.health:
+            gl = draw_nothing() if settings.external_cameras else choose_gl()
             check_model(settings)
     except ArmsightError as error:
         print(f"sim: {error}", file=sys.stderr)
@@ -29,10 +31,13 @@ def main() -> int:
         from armsight_sim.service import Simulation  # imports MuJoCo: not before choose_gl
 
         log.info("drawing off screen", extra={"gl": gl})
-        context.health.report(HEALTH_STATUS_WAITING, f"loading the model, drawing by {gl}")
+        drawing = f"drawing by {gl}" if gl else "drawing nothing"
+        context.health.report(HEALTH_STATUS_WAITING, f"loading the model, {drawing}")
         Simulation(context, settings).run()
 
-    return run_service("sim", arguments, settings, body, shared_memory="publish")
+    # of the frames' memory there is one: it is made by who has the cameras
+    memory: Use = "read" if settings.external_cameras else "publish"
+    return run_service("sim", arguments, settings, body, shared_memory=memory)
 
 
 def check_model(settings: Settings) -> None:
@@ -48,7 +53,7 @@ def check_model(settings: Settings) -> None:
     from armsight_sim.world import World, load_model  # imports MuJoCo: not before choose_gl
 
     model = load_model(settings.model)
-    world = World(model, 1.0)
+    world = World(model, 1.0, with_cameras=not settings.external_cameras)
     check_target(model, settings.target)
     if not settings.pose:
         return

@@ -19,11 +19,18 @@ Vector = npt.NDArray[np.float64]
 class Motion:
     """Moves a world frame by frame, as commands allow."""
 
-    def __init__(self, world: World, instants: Instants, pose: Vector) -> None:
-        """At rest at a pose, at the instant of frame 0."""
+    def __init__(self, world: World, instants: Instants, pose: Vector, *, external_cameras: bool = False) -> None:
+        """At rest at a pose, at the instant of frame 0.
+
+        Args:
+            world: the arm's.
+            instants: of frames.
+            pose: angles of all joints.
+            external_cameras: see :class:`~armsight_sim.commands.CommandGate`.
+        """
         self.world = world
         self._instants = instants
-        self._gate = CommandGate(world)
+        self._gate = CommandGate(world, external_cameras=external_cameras)
         self._setpoint = Setpoint(pose, world.limits, world.max_speed, 1.0 / instants.fps)
         self._since_command_s = 0.0
         self._steps = 0

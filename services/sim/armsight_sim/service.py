@@ -57,12 +57,13 @@ class Simulation:
     def __init__(self, context: Context, settings: Settings) -> None:
         """Declares everything on the bus; frames start with :meth:`run`."""
         self._context, self._settings, bus = context, settings, context.bus
-        described = load_model(settings.model)
+        described, external = load_model(settings.model), settings.external_cameras
         model = longer_links(described, settings.model_error)
-        world = World(model, 1.0 / settings.fps)
+        world = World(model, 1.0 / settings.fps, with_cameras=not external)
         instants = Instants(settings.start_ns, settings.fps)
         pose = world.within_limits(settings.pose) if settings.pose else np.zeros(len(world.joint_names))
-        self._motion, self._instants, self._model = Motion(world, instants, pose), instants, model
+        self._motion = Motion(world, instants, pose, external_cameras=bool(external))
+        self._instants, self._model = instants, model
         self._stops = StopSources()
         self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._lockstep = Lockstep()
@@ -71,7 +72,8 @@ class Simulation:
         self._refused_s, self._refused = -_REFUSAL_SHOWN_S, ""
         self._frame_times: deque[float] = deque(maxlen=31)
 
-        self._names = description.camera_names(model)
+        # of its own cameras: others say themselves what they see, and how
+        self._names = [] if external else description.camera_names(model)
         self._sizes = [picture_size(model, name, settings.width, settings.height) for name in self._names]
         for name, (width, height) in zip(self._names, self._sizes, strict=True):
             calibration = description.calibration(model, name, width, height, settings.start_ns)
@@ -79,7 +81,8 @@ class Simulation:
             bus.publisher(topics.CAMERA_POSE, name).put(description.camera_pose(model, name, settings.start_ns))
         self._targets = TARGETS if settings.model is None else targets_of(described)
         self._bodies = mocap_rows(model) if settings.target == VISIBLE else None
-        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(described, with_bodies=self._bodies is not None))
+        with_bodies = self._bodies is not None
+        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(described, with_bodies, external))
         block = settings.clock is ClockMode.LOCKSTEP
         self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
         self._frame_ids = [description.optical_frame(name) for name in self._names]
@@ -128,7 +131,7 @@ class Simulation:
         return cameras
 
     def _new_noise(self, settings: Settings) -> Noise | None:
-        size = max(width * height for width, height in self._sizes) * 3
+        size = max((width * height for width, height in self._sizes), default=0) * 3
         return Noise(settings.noise, size, settings.seed) if settings.noise > 0.0 else None
 
     def _tune(self, values: Mapping[str, Value]) -> None:
@@ -217,13 +220,17 @@ class Simulation:
     def _handle_until(self, due_s: float) -> None:
         """Handles what arrives until the next frame is due, each at the simulated time of its arrival."""
         period_s, steps = 1.0 / self._settings.fps, self._motion.world.steps_per_frame
+
+        def advance() -> None:
+            share = 1.0 - (due_s - time.monotonic()) / period_s
+            self._motion.advance(int(share * steps))
+
         while not self._context.stop.is_set():
             now = time.monotonic()
             if now >= due_s:
                 return
-            self._handle_one(due_s - now)
-            share = 1.0 - (due_s - time.monotonic()) / period_s
-            self._motion.advance(int(share * steps))
+            self._handle_one(due_s - now, arrived=advance)
+            advance()
 
     def _handle_until_answered(self) -> None:
         while self._lockstep.waiting and not self._context.stop.is_set():
@@ -234,12 +241,14 @@ class Simulation:
                 detail = "no answer to the last frames yet: are vision and control running?"
                 self._context.health.report(HEALTH_STATUS_WAITING, detail)
 
-    def _handle_one(self, timeout_s: float) -> None:
+    def _handle_one(self, timeout_s: float, arrived: Callable[[], None] = lambda: None) -> None:
+        """Waits for an event and handles it; ``arrived`` is called before."""
         try:
             event = self._events.get(timeout=min(timeout_s, _IDLE_S))
         except queue.Empty:
             pass
         else:
+            arrived()
             event()
         if self._stops.check_heartbeats(time.monotonic(), wall_ns()):
             self._stop_changed()

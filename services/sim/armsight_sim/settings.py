@@ -3,6 +3,8 @@
 import argparse
 import datetime
 import math
+import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +12,12 @@ from armsight.errors import ConfigError
 from armsight.service import add_service_arguments
 from armsight.times import NS_PER_S, wall_ns
 from armsight_sim.clock import WATCHDOG_S, ClockMode
-from armsight_sim.targets import NONE, TARGETS
+from armsight_sim.targets import NONE, TARGETS, VISIBLE
 
 AMBIENT_SWEEP = "sweep"
+CAMERAS_VARIABLE = "ARMSIGHT_EXTERNAL_CAMERAS"
+NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+"""Of cameras and markers: what a key on the bus may have in it."""
 LIT, EMISSIVE = "lit", "emissive"
 SAMPLES = (0, 4)
 """For each pixel: software GL gives no others."""
@@ -48,6 +53,8 @@ class Settings:
     pose: tuple[float, ...]
     model: Path | None = None
     """An MJCF or URDF; none: the arm of this package."""
+    external_cameras: tuple[str, ...] = ()
+    """Names of the cameras that somebody else brings; none: the simulation draws those of the model."""
 
     def __post_init__(self) -> None:
         """Refuses what can't work, saying what can."""
@@ -70,6 +77,21 @@ class Settings:
             raise ConfigError(f"--seed {self.seed} is below 0")
         if not -0.05 <= self.model_error <= 0.05:
             raise ConfigError(f"--model-error {self.model_error:g} is not within -0.05 to 0.05")
+        if self.external_cameras:
+            self._check_external_cameras()
+
+    def _check_external_cameras(self) -> None:
+        given = f"--external-cameras {' '.join(self.external_cameras)}"
+        if wrong := [name for name in self.external_cameras if not NAME.fullmatch(name)]:
+            raise ConfigError(f"{given}: {wrong[0]!r} is no name: use letters, digits, '_', '-' and '.', at most 64")
+        if len(set(self.external_cameras)) != len(self.external_cameras):
+            raise ConfigError(f"{given}: a name is there twice")
+        if len(self.external_cameras) < 2:
+            raise ConfigError(f"{given}: name two cameras or more, one alone does not see how far a marker is")
+        if self.clock is ClockMode.LOCKSTEP:
+            raise ConfigError(f"{given}: cameras do not wait for answers as --clock lockstep does; use realtime")
+        if self.target == VISIBLE:
+            raise ConfigError(f"{given}: --target {VISIBLE} has to be drawn; choose another target")
 
 
 def parse_settings(arguments: argparse.Namespace) -> Settings:
@@ -93,6 +115,7 @@ def parse_settings(arguments: argparse.Namespace) -> Settings:
         model_error=arguments.model_error,
         pose=tuple(arguments.pose),
         model=arguments.model,
+        external_cameras=tuple(arguments.external_cameras or os.environ.get(CAMERAS_VARIABLE, "").split()),
     )
 
 
@@ -109,6 +132,14 @@ def argument_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--model", type=Path, metavar="FILE", help="MJCF or URDF of another arm: docs/own-arm.md (default: our own arm)"
+    )
+    parser.add_argument(
+        "--external-cameras",
+        nargs="+",
+        metavar="NAME",
+        default=[],
+        help="draw no pictures: cameras of these names are brought by somebody else, such as armsight-camera; in real "
+        f"time only (environment {CAMERAS_VARIABLE}, names with spaces between them)",
     )
     parser.add_argument("--fps", type=int, default=30, help="frames a second of simulated time, from 15 (default: 30)")
     parser.add_argument(

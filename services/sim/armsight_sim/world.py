@@ -64,17 +64,18 @@ def longer_links(model: mujoco.MjModel, share: float) -> mujoco.MjModel:
 class World:
     """Model and state; nothing in here knows of cameras or of the bus."""
 
-    def __init__(self, model: mujoco.MjModel, frame_period_s: float) -> None:
+    def __init__(self, model: mujoco.MjModel, frame_period_s: float, *, with_cameras: bool = True) -> None:
         """At rest at the zero pose.
 
         Args:
             model: its step is set to divide the frame period.
             frame_period_s: simulated time between two frames.
+            with_cameras: whether the model must have them.
 
         Raises:
             ModelError: the model does not follow the conventions of docs/own-arm.md; with everything to be mended.
         """
-        conventions.check(model)
+        conventions.check(model, with_cameras=with_cameras)
         self.model = model
         self.data = mujoco.MjData(model)
         self.steps_per_frame = int(np.ceil(frame_period_s / _LONGEST_STEP_S))

@@ -87,3 +87,10 @@ def test_answers_to_what_was_seen_before_a_reset_are_refused(gate: CommandGate) 
     gate.refuse_before(NOW)
     assert decide(gate, command(NOW - FRAME)) == (Verdict.REFUSE, "before_reset")
     assert decide(gate, command(NOW))[0] is Verdict.MOVE
+
+
+@pytest.mark.parametrize(("ahead_ns", "reason"), [(0, ""), (-1, ""), (1, "future")])
+def test_frames_of_external_cameras_may_be_of_any_instant_up_to_now(world: World, ahead_ns: int, reason: str) -> None:
+    now = NOW + FRAME // 2  # later than the simulation's own last frame
+    gate = CommandGate(world, external_cameras=True)
+    assert decide(gate, command(now + ahead_ns), now)[1] == reason

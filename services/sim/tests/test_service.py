@@ -1,5 +1,6 @@
 """The process on a private bus."""
 
+import os
 import signal
 import socket
 import subprocess
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.empty_pb2 import Empty
 
 from armsight import topics
 from armsight.bus import Bus, open_bus
@@ -194,3 +196,54 @@ def test_sigterm_ends_it_within_two_seconds(bus: Bus, sim: Callable[..., "subpro
     process.send_signal(signal.SIGTERM)
     assert process.wait(timeout=5) == 0
     assert time.monotonic() - begun < 2.0
+
+
+def test_external_cameras_are_described_and_nothing_is_drawn_or_said_of_them(
+    bus: Bus, sim: Callable[..., object]
+) -> None:
+    clock = bus.subscriber(topics.CLOCK)
+    said = [
+        bus.subscriber(topic, "*") for topic in (topics.CAMERA_CALIBRATION, topics.CAMERA_POSE, topics.CAMERA_IMAGE)
+    ]
+    sim("--external-cameras", "left", "right")
+    for _ in range(10):
+        taken(clock)
+    assert list(taken(bus.subscriber(topics.DESCRIPTION)).cameras) == ["left", "right"]
+    assert [subscriber.latest for subscriber in said] == [None, None, None]
+    tunable = bus.query(topics.ASK_PARAMETERS, Empty(), "sim").parameters
+    assert [parameter.name for parameter in tunable] == ["target"]
+
+
+def test_command_between_two_frames_is_taken_at_its_time_with_external_cameras(
+    bus: Bus, sim: Callable[..., object]
+) -> None:
+    # answers of all phases of a frame: none is ahead of simulated time, none too old
+    clock = bus.subscriber(topics.CLOCK)
+    accepted, healths = bus.subscriber(topics.JOINTS_ACCEPTED), bus.subscriber(topics.HEALTH, "sim")
+    commands = bus.publisher(topics.JOINT_COMMAND)
+    sim("--external-cameras", "1", "2", "--fps", "15")
+    for number in range(40):
+        tick = clock.recv(15.0)
+        assert tick is not None
+        delay_s = (number % 10) * 0.005
+        threading.Event().wait(delay_s)
+        seen_ns = from_timestamp(tick.message.capture_time) + round((time.monotonic() - tick.received_s) * 1e9)
+        threading.Event().wait(0.008)  # vision and control
+        commands.put(answer(seen_ns, 0.3))
+    assert taken(accepted) is not None
+    while (health := taken(healths)).counters.get("command_move", 0) < 30:
+        pass
+    refused = {name: total for name, total in health.counters.items() if "refused" in name}
+    assert refused == {}
+
+
+def test_external_cameras_need_no_opengl(endpoint: str, bus: Bus) -> None:
+    clock = bus.subscriber(topics.CLOCK)
+    # a back end that is not there
+    environment = os.environ | {"MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "egl", "__EGL_VENDOR_LIBRARY_DIRS": "/nowhere"}
+    command = [str(EXECUTABLE), "--connect", endpoint, "--external-cameras", "1", "2"]
+    with subprocess.Popen(command, env=environment) as process:
+        try:
+            taken(clock)
+        finally:
+            process.terminate()

@@ -51,3 +51,27 @@ def test_process_ends_with_code_2_and_one_line_of_reason(flags: list[str]) -> No
     assert ended.returncode == 2
     assert "Traceback" not in ended.stderr
     assert ended.stderr.strip()
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ["--external-cameras", "1"],
+        ["--external-cameras", "1", "1"],
+        ["--external-cameras", "1", "a/b"],
+        ["--external-cameras", "1", "2", "--clock", "lockstep"],
+        ["--external-cameras", "1", "2", "--target", "visible"],
+    ],
+)
+def test_external_cameras_that_cannot_work_are_refused(flags: list[str]) -> None:
+    with pytest.raises(ConfigError, match="--external-cameras"):
+        parse_settings(argument_parser().parse_args(flags))
+
+
+def test_external_cameras_may_come_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ARMSIGHT_EXTERNAL_CAMERAS", "left right")
+    assert parse_settings(argument_parser().parse_args([])).external_cameras == ("left", "right")
+    flag = ["--external-cameras", "1", "2"]
+    assert parse_settings(argument_parser().parse_args(flag)).external_cameras == ("1", "2")
+    monkeypatch.setenv("ARMSIGHT_EXTERNAL_CAMERAS", "")
+    assert parse_settings(argument_parser().parse_args([])).external_cameras == ()

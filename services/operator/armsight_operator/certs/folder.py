@@ -4,7 +4,7 @@
 
     ca/      key.pem  certificate.pem                       stays where certificates are made
     router/  key.pem  certificate.pem  ca.pem  zenoh.json5
-    sim/     the same; so vision/, control/, recorder/, operator/ and whoever else is named
+    sim/     the same; so vision/, control/, camera/, recorder/, operator/ and whoever else is named
 
 Private keys are readable by their owner alone, and a key that is there is never replaced unless that is asked for.
 Nothing is signed for what somebody else could have put there: folders that others can write to, links, keys that

@@ -13,6 +13,7 @@ from typer.main import get_command
 
 from armsight_operator.cli import (
     bridge,
+    camera,
     certs,
     conformance,
     describe,
@@ -111,6 +112,7 @@ app.command("conformance")(conformance.conformance)
 app.command("describe")(describe.describe)
 app.command("trace")(trace.trace)
 app.command("snapshot")(snapshot.snapshot)
+app.command("camera", context_settings=camera.PASSED_ON)(camera.camera)
 app.command("record")(record.record)
 app.add_typer(recording.app, name="recording")
 app.command("replay")(replay.replay)

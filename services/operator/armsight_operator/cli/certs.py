@@ -40,7 +40,7 @@ def make(
         typer.Option(
             "--name",
             metavar="NAME=ROLE",
-            help="Somebody else with a certificate, may be given again; roles: sim, vision, control, recorder, "
+            help="Somebody else with a certificate, may be given again; roles: sim, vision, control, camera, recorder, "
             "operator, viewer.",
             show_default=False,
         ),

@@ -10,7 +10,13 @@ from armsight_operator.errors import MissingExecutableError
 
 VISION_VARIABLE = "ARMSIGHT_VISION"
 
-_SCRIPTS = {"router": "armsight", "page": "armsight", "sim": "armsight-sim", "control": "armsight-control"}
+_SCRIPTS = {
+    "router": "armsight",
+    "page": "armsight",
+    "sim": "armsight-sim",
+    "control": "armsight-control",
+    "camera": "armsight-camera",
+}
 
 
 def repository_root() -> Path:
@@ -27,7 +33,7 @@ def find_executable(
     """The executable of a service.
 
     Args:
-        name: ``router``, ``sim``, ``vision``, ``control`` or ``page``.
+        name: ``router``, ``sim``, ``vision``, ``control``, ``page`` or ``camera``.
         environment: its ``ARMSIGHT_VISION`` wins over the built one.
         scripts: folder of the console scripts (default: beside this Python).
         root: folder of the repository (default: where this package is).
