@@ -48,6 +48,8 @@ class Settings:
     pose: tuple[float, ...]
     model: Path | None = None
     """An MJCF or URDF; none: the arm of this package."""
+    calibration: Path | None = None
+    """A file of cameras and colours that is published in place of the model's."""
 
     def __post_init__(self) -> None:
         """Refuses what can't work, saying what can."""
@@ -93,6 +95,7 @@ def parse_settings(arguments: argparse.Namespace) -> Settings:
         model_error=arguments.model_error,
         pose=tuple(arguments.pose),
         model=arguments.model,
+        calibration=arguments.calibration,
     )
 
 
@@ -109,6 +112,12 @@ def argument_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--model", type=Path, metavar="FILE", help="MJCF or URDF of another arm: docs/own-arm.md (default: our own arm)"
+    )
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="publish this file's cameras and markers' colours in place of the model's: `armsight calibrate` makes it",
     )
     parser.add_argument("--fps", type=int, default=30, help="frames a second of simulated time, from 15 (default: 30)")
     parser.add_argument(
