@@ -128,6 +128,7 @@ MACHINES = SECURE + "test_two_machines_with_a_router_each"
 LINKED = "tests/test_two_machines.py::test_loop_runs_over_the_link_and_frames_stay_where_they_are_read"
 OWN = "tests/test_examples.py::test_the_loop_closes_over_"
 HERE, REPORT = "tests/test_docs.py::", "tests/test_report.py::"
+CALIBRATE = "tests/test_calibrate.py::"
 
 # Command → the test that runs it, or what it stands for.
 ELSEWHERE: Mapping[str, str] = {
@@ -144,6 +145,21 @@ ELSEWHERE: Mapping[str, str] = {
     ".venv/bin/armsight report --out report-out --quick": REPORT + "test_pictures_and_markdown_are_written",
     # docs/own-arm.md
     "armsight up --model services/sim/armsight_sim/models/five.xml": "tests/test_another_arm.py::test_up_runs_a_model",
+    # docs/calibrate.md
+    "pip install 'armsight-operator[calibrate]'": HERE + "test_opencv_is_an_extra_of_the_operator",
+    "armsight calibrate intrinsics board-1 --camera 1 --board charuco:7x5 --square-m 0.04 --marker-m 0.03"
+    " --picture lens-1.png": CALIBRATE + "test_the_lens_is_the_one_that_the_pictures_were_bent_by",
+    "armsight record poses.mcap 'camera/**' 'joints/*' description --seconds 60": CALIBRATE
+    + "test_the_camera_is_found_where_it_really_is",
+    "armsight calibrate extrinsics poses.mcap --picture poses.png": CALIBRATE
+    + "test_the_camera_is_found_where_it_really_is",
+    "armsight calibrate colours view.png --camera 1 --at red=412,300 --at green=398,520 --at blue=380,420"
+    " --at yellow=401,455 --picture cones.png": "services/operator/tests/test_calibrate_colours.py"
+    "::test_the_file_gets_the_colours_and_the_picture_shows_them",
+    "armsight calibrate colours poses.mcap --camera 1 --known-order": CALIBRATE
+    + "test_colours_that_were_learnt_where_markers_are_expected_are_found_by_vision",
+    "armsight up --calibration calibration.json": "services/operator/tests/test_stack.py"
+    "::test_a_calibration_file_is_sims",
     # docs/security.md
     "armsight up --certificates certs": CERTS + "test_commands_of_the_documentation_run_the_stack",
     "armsight status --zenoh-config certs/operator/zenoh.json5": CERTS
@@ -286,6 +302,11 @@ def test_bridge_is_an_extra_of_the_operator() -> None:
     table = tomllib.loads((ROOT / "services/operator/pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert table["name"] == "armsight-operator"
     assert any(need.startswith("foxglove-sdk") for need in table["optional-dependencies"]["bridge"])
+
+
+def test_opencv_is_an_extra_of_the_operator() -> None:
+    table = tomllib.loads((ROOT / "services/operator/pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert any(need.startswith("opencv-python-headless") for need in table["optional-dependencies"]["calibrate"])
 
 
 def test_prometheus_is_told_where_metrics_are_served() -> None:
