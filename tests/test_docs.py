@@ -129,6 +129,7 @@ LINKED = "tests/test_two_machines.py::test_loop_runs_over_the_link_and_frames_st
 OWN = "tests/test_examples.py::test_the_loop_closes_over_"
 CAMERAS = "tests/test_camera.py::test_arm_is_measured_and_answered_through_cameras_that_are_not_sims"
 HERE, REPORT = "tests/test_docs.py::", "tests/test_report.py::"
+CALIBRATE = "tests/test_calibrate.py::"
 
 # Command → the test that runs it, or what it stands for.
 ELSEWHERE: Mapping[str, str] = {
@@ -152,6 +153,21 @@ ELSEWHERE: Mapping[str, str] = {
     "armsight-camera --device snap/1 --device snap/2 --calibration snap/calibration.json": CAMERAS,
     'ARMSIGHT_EXTERNAL_CAMERAS="1 2" docker compose --profile camera up --build --wait': COMPOSE
     + "test_vision_measures_what_cameras_in_a_container_bring",
+    # docs/calibrate.md
+    "pip install 'armsight-operator[calibrate]'": HERE + "test_opencv_is_an_extra_of_the_operator",
+    "armsight calibrate intrinsics board-1 --camera 1 --board charuco:7x5 --square-m 0.04 --marker-m 0.03"
+    " --picture lens-1.png": CALIBRATE + "test_the_lens_is_the_one_that_the_pictures_were_bent_by",
+    "armsight record poses.mcap 'camera/**' 'joints/*' description --seconds 60": CALIBRATE
+    + "test_the_camera_is_found_where_it_really_is",
+    "armsight calibrate extrinsics poses.mcap --picture poses.png": CALIBRATE
+    + "test_the_camera_is_found_where_it_really_is",
+    "armsight calibrate colours view.png --camera 1 --at red=412,300 --at green=398,520 --at blue=380,420"
+    " --at yellow=401,455 --picture cones.png": "services/operator/tests/test_calibrate_colours.py"
+    "::test_the_file_gets_the_colours_and_the_picture_shows_them",
+    "armsight calibrate colours poses.mcap --camera 1 --known-order": CALIBRATE
+    + "test_colours_that_were_learnt_where_markers_are_expected_are_found_by_vision",
+    "armsight up --calibration calibration.json": "services/operator/tests/test_stack.py"
+    "::test_a_calibration_file_is_sims",
     # docs/security.md
     "armsight up --certificates certs": CERTS + "test_commands_of_the_documentation_run_the_stack",
     "armsight status --zenoh-config certs/operator/zenoh.json5": CERTS
@@ -294,6 +310,11 @@ def test_bridge_is_an_extra_of_the_operator() -> None:
     table = tomllib.loads((ROOT / "services/operator/pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert table["name"] == "armsight-operator"
     assert any(need.startswith("foxglove-sdk") for need in table["optional-dependencies"]["bridge"])
+
+
+def test_opencv_is_an_extra_of_the_operator() -> None:
+    table = tomllib.loads((ROOT / "services/operator/pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert any(need.startswith("opencv-python-headless") for need in table["optional-dependencies"]["calibrate"])
 
 
 def test_prometheus_is_told_where_metrics_are_served() -> None:

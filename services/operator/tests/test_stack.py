@@ -172,3 +172,10 @@ def _zombie(pid: int) -> bool:
 
 def _path() -> dict[str, str]:
     return {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+
+
+def test_a_calibration_file_is_sims(fake: Callable[..., Path], tmp_path: Path) -> None:
+    del fake
+    with Stack(out=tmp_path / "out", calibration=tmp_path / "calibration.json") as stack:
+        stack.start("sim")
+        assert f"--calibration {tmp_path / 'calibration.json'}" in started(stack, "sim")

@@ -45,16 +45,19 @@ def check_model(settings: Settings) -> None:
 
     Raises:
         ModelError: the model does not follow the conventions.
-        ConfigError: the target needs bodies that the model hasn't; not one angle for each joint, within its limits.
+        ConfigError: the target needs bodies that the model hasn't; not one angle for each joint, within its limits; the
+            calibration file does not fit to the model.
     """
-    if settings.model is None and not settings.pose:
+    if settings.model is None and not settings.pose and settings.calibration is None:
         return  # what this package ships is tested
+    from armsight_sim.recalibration import recalibration_of
     from armsight_sim.tip_path import check_target
     from armsight_sim.world import World, load_model  # imports MuJoCo: not before choose_gl
 
     model = load_model(settings.model)
     world = World(model, 1.0, with_cameras=not settings.external_cameras)
     check_target(model, settings.target)
+    recalibration_of(settings, model)
     if not settings.pose:
         return
     if len(settings.pose) != len(world.joint_names):

@@ -16,6 +16,7 @@ from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 
 from armsight import topics
 from armsight.bus import Received
+from armsight.calibration import KnownCamera
 from armsight.images import encode_rgb8
 from armsight.parameters import Value
 from armsight.schema import descriptor_set
@@ -32,6 +33,7 @@ from armsight_sim.clock import ClockMode, Instants, Lockstep, Pacer
 from armsight_sim.commands import Verdict
 from armsight_sim.errors import SimError
 from armsight_sim.motion import Motion
+from armsight_sim.recalibration import recalibration_of, recoloured
 from armsight_sim.settings import Settings
 from armsight_sim.stop import StopRequestError, StopSources
 from armsight_sim.targets import NONE, TARGETS, VISIBLE, visible_box, visible_sphere
@@ -75,14 +77,17 @@ class Simulation:
         # of its own cameras: others say themselves what they see, and how
         self._names = [] if external else description.camera_names(model)
         self._sizes = [picture_size(model, name, settings.width, settings.height) for name in self._names]
+        known = recalibration_of(settings, described)
         for name, (width, height) in zip(self._names, self._sizes, strict=True):
-            calibration = description.calibration(model, name, width, height, settings.start_ns)
+            told = known.cameras.get(name, KnownCamera())
+            calibration = told.calibration or description.calibration(model, name, width, height, settings.start_ns)
             bus.publisher(topics.CAMERA_CALIBRATION, name).put(calibration)
-            bus.publisher(topics.CAMERA_POSE, name).put(description.camera_pose(model, name, settings.start_ns))
+            stands = told.pose or description.camera_pose(model, name, settings.start_ns)
+            bus.publisher(topics.CAMERA_POSE, name).put(stands)
         self._targets = TARGETS if settings.model is None else targets_of(described)
         self._bodies = mocap_rows(model) if settings.target == VISIBLE else None
-        with_bodies = self._bodies is not None
-        bus.publisher(topics.DESCRIPTION).put(description.describe_arm(described, with_bodies, external))
+        arm = description.describe_arm(described, self._bodies is not None, external)
+        bus.publisher(topics.DESCRIPTION).put(recoloured(arm, known))
         block = settings.clock is ClockMode.LOCKSTEP
         self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
         self._frame_ids = [description.optical_frame(name) for name in self._names]

@@ -55,6 +55,8 @@ class Settings:
     """An MJCF or URDF; none: the arm of this package."""
     external_cameras: tuple[str, ...] = ()
     """Names of the cameras that somebody else brings; none: the simulation draws those of the model."""
+    calibration: Path | None = None
+    """A file of cameras and colours that is published in place of the model's."""
 
     def __post_init__(self) -> None:
         """Refuses what can't work, saying what can."""
@@ -116,6 +118,7 @@ def parse_settings(arguments: argparse.Namespace) -> Settings:
         pose=tuple(arguments.pose),
         model=arguments.model,
         external_cameras=tuple(arguments.external_cameras or os.environ.get(CAMERAS_VARIABLE, "").split()),
+        calibration=arguments.calibration,
     )
 
 
@@ -140,6 +143,12 @@ def argument_parser() -> argparse.ArgumentParser:
         default=[],
         help="draw no pictures: cameras of these names are brought by somebody else, such as armsight-camera; in real "
         f"time only (environment {CAMERAS_VARIABLE}, names with spaces between them)",
+    )
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="publish this file's cameras and markers' colours in place of the model's: `armsight calibrate` makes it",
     )
     parser.add_argument("--fps", type=int, default=30, help="frames a second of simulated time, from 15 (default: 30)")
     parser.add_argument(

@@ -19,13 +19,17 @@ from google.protobuf.empty_pb2 import Empty
 
 from armsight import topics
 from armsight.bus import Bus, open_bus
+from armsight.calibration import CalibrationFile, KnownCamera, write_calibration_file
 from armsight.errors import RefusedError
 from armsight.session import SessionConfig, open_session
 from armsight.times import from_timestamp, to_duration
+from armsight.v1.description_pb2 import Color
 from armsight.v1.joints_pb2 import JointCommand, JointSetpoint
 from armsight.v1.parameters_pb2 import ParameterValue, SetParametersRequest
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest
 from armsight.v1.sim_pb2 import ResetRequest
+from armsight_sim import description
+from armsight_sim.world import load_model
 
 EXECUTABLE = Path(sys.executable).parent / "armsight-sim"
 START_NS = 1_714_564_800_000_000_000
@@ -247,3 +251,28 @@ def test_external_cameras_need_no_opengl(endpoint: str, bus: Bus) -> None:
             taken(clock)
         finally:
             process.terminate()
+
+
+def test_a_calibration_file_reaches_everybody(
+    sim: Callable[..., "subprocess.Popen[bytes]"], bus: Bus, tmp_path: Path
+) -> None:
+    model = load_model()
+    calibration = description.calibration(model, "2", 160, 160, 0)
+    calibration.K[0] += 3.0
+    pose = description.camera_pose(model, "2", 0)
+    pose.translation.x += 0.25
+    content = CalibrationFile({"2": KnownCamera(calibration, pose)}, {"red": Color(red=0.8, green=0.1, blue=0.1)})
+    write_calibration_file(tmp_path / "c.json", content)
+    sim("--calibration", str(tmp_path / "c.json"))
+    arm, lens, place = (
+        bus.subscriber(topics.DESCRIPTION),
+        bus.subscriber(topics.CAMERA_CALIBRATION, "2"),
+        bus.subscriber(topics.CAMERA_POSE, "2"),
+    )
+    described, told, stands = arm.recv(20.0), lens.recv(20.0), place.recv(20.0)
+    assert described is not None
+    assert told is not None
+    assert stands is not None
+    assert told.message == calibration
+    assert stands.message == pose
+    assert {m.name: m.color.red for m in described.message.markers}["red"] == 0.8

@@ -13,6 +13,7 @@ from typer.main import get_command
 
 from armsight_operator.cli import (
     bridge,
+    calibrate,
     camera,
     certs,
     conformance,
@@ -117,6 +118,7 @@ app.command("record")(record.record)
 app.add_typer(recording.app, name="recording")
 app.command("replay")(replay.replay)
 app.command("export")(export.export)
+app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(bridge.app, name="bridge")
 app.command("router")(router.router)
 app.add_typer(certs.app, name="certs")

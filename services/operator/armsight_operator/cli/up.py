@@ -31,6 +31,14 @@ def up(
         Path | None,
         typer.Option(help="MJCF or URDF of another arm (see `armsight describe`).", metavar="FILE", show_default=False),
     ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of `armsight calibrate`: its cameras and colours in place of the model's.",
+            metavar="FILE",
+            show_default=False,
+        ),
+    ] = None,
     clock: Annotated[str, typer.Option(help="realtime or lockstep.")] = "realtime",
     samples: Annotated[int, typer.Option(help="Samples a pixel: 0 or 4 (smoother, slower).")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for the picture and the logs.")] = Path("armsight-out"),
@@ -64,7 +72,7 @@ def up(
     stop = stop_on_signals()
     began = time.monotonic()
     extra: dict[str, object] = {"target": target, "clock": clock, "samples": samples, "mode": mode}
-    extra["model"] = model
+    extra["model"], extra["calibration"] = model, calibration
     beside = port + 1 if port < 65535 else port - 1
     extra["page_port"] = (page_port or beside) if page else None
     with Stack(out=out, port=port, namespace=namespace, certificates=certificates, **extra) as stack:  # type: ignore[arg-type]

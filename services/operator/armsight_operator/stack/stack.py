@@ -39,6 +39,7 @@ class Stack:
         target: what sim publishes on `target`: ``none``, ``default``, ``exercise``, ``visible``.
         mode: control's first mode.
         model: sim's, an MJCF or URDF (default: the arm that sim ships).
+        calibration: sim's, a file of cameras and colours (default: the model's).
         out: folder for the logs (default: a new temporary one, left to whoever wants to read them).
         port: of the router on the loopback interface; 0 takes a free one.
         namespace: the robot's name on the bus.
@@ -58,6 +59,7 @@ class Stack:
         target: str = "default",
         mode: str = "track",
         model: Path | None = None,
+        calibration: Path | None = None,
         out: Path | None = None,
         port: int = 0,
         namespace: str = DEFAULT_NAMESPACE,
@@ -80,6 +82,7 @@ class Stack:
                 *("--clock", clock, "--samples", str(samples), "--fps", f"{fps:g}", "--target", target),
                 *(("--start-time", start_time) if start_time is not None else ()),
                 *(("--model", str(model)) if model is not None else ()),
+                *(("--calibration", str(calibration)) if calibration is not None else ()),
             ],
             "vision": [],
             "control": ["--mode", mode],
