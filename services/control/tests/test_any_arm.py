@@ -14,12 +14,12 @@ from google.protobuf.json_format import ParseDict
 from armsight.v1.description_pb2 import ArmDescription
 from armsight_control.aiming import aim, free_of
 from armsight_control.barrier import capsules_of
-from armsight_control.chain import Point
+from armsight_control.chain import Array, Point
 from armsight_control.description import Arm, arm_of
 from armsight_control.errors import UnsupportedArmError
-from armsight_control.kinematics import forward
+from armsight_control.kinematics import forward, jacobian
 from armsight_control.positions import shoulder_of, tip_line_of
-from armsight_control.solvers import Problem, check_applies, solve, solve_batch
+from armsight_control.solvers import Problem, Status, check_applies, edge, solve, solve_batch
 from armsight_control.tracking import Moving
 from armsight_control.trajectory import all_motion_of
 
@@ -47,6 +47,51 @@ def test_solvers_reach_1000_random_targets(arm: Arm, solver: str) -> None:
     tips = forward(chain, found.q)
     assert (np.linalg.norm(tips - aims, axis=1) < 5e-3).mean() >= 0.999
     assert ((found.q >= chain.limits[:, 0]) & (found.q <= chain.limits[:, 1])).all()
+
+
+@pytest.mark.parametrize("solver", ["torch", "levenberg-marquardt"])
+@pytest.mark.parametrize("distance_m", [9.2, 12.0, 30.0])
+def test_a_target_beyond_the_reach_is_said_to_be_and_answered_by_the_nearest_point(
+    arm: Arm, solver: str, distance_m: float
+) -> None:
+    chain, rng = arm.chain, np.random.default_rng(90211)
+    away = rng.normal(size=(40, 3))
+    aims = distance_m * away / np.linalg.norm(away, axis=1, keepdims=True)
+    starts = rng.uniform(chain.limits[:, 0], chain.limits[:, 1], (40, chain.count))
+    found = solve_batch(solver, chain, aims, starts, tuple(range(chain.count)))
+    assert set(found.status) == {Status.UNREACHABLE}
+    assert found.converged.all()
+    tips = forward(chain, rng.uniform(chain.limits[:, 0], chain.limits[:, 1], (200_000, chain.count)))
+    nearest = [float(np.linalg.norm(tips - aim, axis=1).min()) for aim in aims]
+    assert (found.residual_m <= nearest).all(), "nothing that was tried at random is nearer"
+
+
+def test_the_edges_second_derivatives_are_those_of_the_distance(arm: Arm) -> None:
+    chain, rng, h = arm.chain, np.random.default_rng(4), 1e-5
+    q = rng.uniform(chain.limits[:, 0], chain.limits[:, 1])
+    target = np.array([[7.0, -3.0, 9.0]])
+
+    def gradient(at: Array) -> Array:
+        return np.asarray(jacobian(chain, at).T @ (forward(chain, at) - target[0]))
+
+    error, slope, curve = edge.derivatives(chain, target, q[None], list(range(chain.count)))
+    assert error[0] == pytest.approx(np.linalg.norm(forward(chain, q) - target[0]))
+    np.testing.assert_allclose(slope[0], gradient(q), atol=1e-12)
+    numeric = [(gradient(q + h * step) - gradient(q - h * step)) / (2 * h) for step in np.eye(chain.count)]
+    np.testing.assert_allclose(curve[0], numeric, atol=1e-6)
+
+
+def test_the_edge_is_walked_to_within_the_limits_whichever_joints_are_free(arm: Arm) -> None:
+    chain, rng, free = arm.chain, np.random.default_rng(12), (0, 1, 3)
+    q = rng.uniform(chain.limits[:, 0], chain.limits[:, 1], (50, chain.count))
+    targets = rng.normal(size=(50, 3)) * 12
+    before = np.linalg.norm(forward(chain, q) - targets, axis=1)
+    found = edge.nearest(chain, targets, q, free, 1e-4)
+    assert found.stationary.mean() > 0.95
+    assert (found.error_m <= before).all()
+    np.testing.assert_allclose(found.error_m, np.linalg.norm(forward(chain, found.q) - targets, axis=1))
+    assert ((found.q >= chain.limits[:, 0]) & (found.q <= chain.limits[:, 1])).all()
+    assert (found.q[:, [2, 4]] == q[:, [2, 4]]).all()
 
 
 @pytest.mark.parametrize("solver", ["closed-form", "gradient-descent"])

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from armsight_control.chain import Array
 from armsight_control.folded import Folded
+from armsight_control.solvers import edge as edge_of_reach
 from armsight_control.solvers.blocks import DAMPED_STEPS
 from armsight_control.solvers.options import LevenbergMarquardtOptions
 from armsight_control.solvers.packages import Block, block
@@ -51,7 +52,9 @@ def solve(task: Task) -> Found:
     most = math.ceil(options.max_steps / DAMPED_STEPS)
     ends = refine(run, folded, aims, own, options.tolerance_m, options.damping, most)
     ends = restarted(run, folded, aims, own, ends, ~ends.met, options)
-    return Found(ends.u - folded.offsets, ends.calls * DAMPED_STEPS, ends.met, ends.stationary, run.trouble)
+    ends = settled(task, ends, ~ends.met)
+    met = ends.met | (ends.error_m <= options.tolerance_m)
+    return Found(ends.u - folded.offsets, ends.calls * DAMPED_STEPS, met, ends.stationary & ~met, run.trouble)
 
 
 def restarted(
@@ -105,6 +108,34 @@ def restarted(
     return best
 
 
+def settled(task: Task, ends: Ends, missed: NDArray[np.bool_]) -> Ends:
+    """Brings to the edge of the reach what missed its aim, and is not yet where no motion brings it nearer.
+
+    Args:
+        task: what is solved.
+        ends: so far.
+        missed: (m,), which of them missed.
+
+    Returns:
+        The ends; which of them are at their aim now is left to whoever knows what that means.
+    """
+    left = np.flatnonzero(missed & ~ends.stationary)
+    if not len(left):
+        return ends
+    folded, free = task.folded, list(task.folded.free)
+    q = task.starts[left]
+    q[:, free] = ends.u[left] - folded.offsets
+    edge = edge_of_reach.nearest(task.chain, task.aims[left], task.chain.clip(q), task.folded.free, _flat_m(folded))
+    best = deepcopy(ends)
+    best.u[left], best.error_m[left] = edge.q[:, free] + folded.offsets, edge.error_m
+    best.stationary[left] = edge.stationary
+    return best
+
+
+def _flat_m(folded: Folded) -> float:
+    return float(_FLAT * folded.levers.max())
+
+
 def nearest(candidates: Array, errors: Array, tolerance_m: float, start: Array) -> int:
     """Which of some ends to take: of those that are as near to the aim as any, the one nearest to the start."""
     good = errors <= max(tolerance_m, float(errors.min()) + (0.0 if errors.min() <= tolerance_m else _AS_NEAR_M))
@@ -140,7 +171,7 @@ def refine(
     target = _columns(aims, fill)
     state, damped = _columns(u, fill), torch.from_numpy(np.full(count + fill, damping))
     links, bounds, scalars = _constants(folded, tolerance_m)
-    flat, enough = (_FLAT * folded.levers.max()) ** 2, tolerance_m**2
+    flat, enough = _flat_m(folded) ** 2, tolerance_m**2
     calls = np.zeros(count, dtype=np.int64)
     going = np.ones(count, dtype=np.bool_)
     while True:

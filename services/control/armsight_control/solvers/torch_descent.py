@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from armsight_control.chain import Array
 from armsight_control.folded import Folded
 from armsight_control.solvers.blocks import DAMPED_STEPS, DESCENT_STEPS
-from armsight_control.solvers.levenberg_marquardt import Ends, refine, restarted
+from armsight_control.solvers.levenberg_marquardt import Ends, refine, restarted, settled
 from armsight_control.solvers.options import TorchOptions
 from armsight_control.solvers.packages import Block, block
 from armsight_control.solvers.problem import Found, Task
@@ -56,6 +56,7 @@ def solve(task: Task) -> Found:
     ends = _polish(damped, folded, aims, u, options)
     missed = ends.error_m > options.accept_m
     ends = restarted(damped, folded, aims, own, ends, missed, task.options.levenberg_marquardt)
+    ends = settled(task, ends, missed & (ends.error_m > options.accept_m))
     at_aim = ends.error_m <= options.accept_m
     return Found(
         q=ends.u - folded.offsets,
