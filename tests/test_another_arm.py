@@ -17,16 +17,18 @@ from google.protobuf.json_format import ParseDict
 
 from armsight import topics
 from armsight.errors import ArmsightError
-from armsight.times import NS_PER_S
+from armsight.times import NS_PER_S, from_timestamp
 from armsight.v1.control_pb2 import IK_STATUS_CONVERGED, SolveIkRequest
 from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.geometry_pb2 import Vector3
-from armsight.v1.joints_pb2 import JointSetpoint
+from armsight.v1.joints_pb2 import JointPositions, JointSetpoint, MarkerPosition
 from armsight.v1.parameters_pb2 import ParameterValue, SetParametersRequest
 from armsight.v1.sim_pb2 import ResetRequest
 from armsight_operator.page.scene import camera_view, scene_of
 from armsight_operator.picture import draw, take_views
-from armsight_operator.stack import Stack, free_port
+from armsight_operator.recording.reader import Recording
+from armsight_operator.stack import PAGE, Stack, free_port
+from browser import Viewer, chromium, until
 from rig import Rig, started
 
 ROOT = Path(__file__).parents[1]
@@ -169,6 +171,62 @@ def test_pictures_have_each_cameras_own_size_and_the_page_has_the_arm(five: Rig)
         view = camera_view(calibration.message, pose.message)
         assert view is not None
         assert view.aspect == pytest.approx(width / height)
+
+
+def armsight(*words: str) -> str:
+    command = [str(Path(sys.executable).parent / "armsight"), *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_it_is_recorded_reported_and_measured_again_by_a_vision_of_its_own(
+    five: Rig, make_rig: Callable[..., Rig], tmp_path: Path
+) -> None:
+    file, report, where = str(tmp_path / "run.mcap"), tmp_path / "report", ["--connect", five.stack.endpoint]
+    five.mode("test-all", start_s=300.0)
+    assert "lost none" in armsight("record", file, "--seconds", "6", *where)
+    five.mode("hold")
+    armsight("report", "--from", file, "--out", str(report))
+    motions = json.loads((report / "summary.json").read_text(encoding="utf-8"))["motions"]
+    (moved,) = (motion["joints"] for motion in motions if motion["mode"] == "test-all")
+    assert list(moved["rms"]) == list(JOINTS)
+    assert max(moved["rms"].values()) < BAR_RMS_RAD, moved["rms"]
+
+    again = make_rig(target="none")
+    for name in ("router", "vision"):
+        again.start(name)
+    again.wait_until(lambda: bool(again.bus) and again.heard_of("vision"), 30, "a fresh vision is there")
+    positions = again.bus.subscriber(topics.JOINT_POSITIONS, keep=2000)
+    said = armsight("replay", file, "--lockstep", "--connect", again.stack.endpoint)
+    told = {from_timestamp(got.message.capture_time): got.message for got in iter(lambda: positions.recv(0.5), None)}
+    entries = Recording(Path(file)).entries({topics.JOINT_POSITIONS.key})
+    recorded = {entry.instant_ns: entry.decode(JointPositions) for entry in entries}
+    both = sorted(set(told) & set(recorded))
+    assert len(both) > 20, said
+    for stamp in both[5:]:  # what it remembers of the instants before differs at first
+        pairs = zip(told[stamp].markers, recorded[stamp].markers, strict=True)
+        assert all(one.name == other.name and off_m(one, other) < 2e-3 for one, other in pairs)
+
+
+def off_m(one: MarkerPosition, other: MarkerPosition) -> float:
+    a, b = one.position, other.position
+    return float(np.linalg.norm([a.x - b.x, a.y - b.y, a.z - b.z]))
+
+
+@pytest.mark.browser
+def test_its_page_has_its_joints_and_a_picture_of_each_camera(make_rig: Callable[..., Rig], tmp_path: Path) -> None:
+    rig = make_rig(target="default", mode="track", fps=15, page_port=0, model=FIVE)
+    rig.start_all()
+    rig.start(PAGE)
+    rig.wait_ready(120)
+    with chromium(tmp_path) as browser:
+        viewer = Viewer(browser, f"http://127.0.0.1:{rig.stack.page_port}")
+        viewer.wait_for_title("Moving")
+        until(lambda: len(viewer.pictures()) == len(SIZES), viewer, "each camera has a picture")
+        first = {joint: viewer.slider(joint) for joint in JOINTS}
+        until(lambda: any(viewer.slider(joint) != first[joint] for joint in JOINTS), viewer, "joints are seen to move")
+        assert viewer.errors == []
 
 
 def test_up_runs_a_model(tmp_path: Path) -> None:
