@@ -133,6 +133,8 @@ class Rig:
     def reset(self, q: Array) -> None:
         self.q = np.asarray(q, dtype=np.float64)
         self.accepted.put(self.states(self.q, self.capture_ns))
+        # by a thread of its own there: of the first instant's clock control may hear after its positions
+        self.clock.put(Clock(capture_time=to_timestamp(self.capture_ns), mode=self.clock_mode))
         time.sleep(0.1)
 
     def mode(self, mode: ControlMode, goal: Array | None = None, start_s: float = 0.0) -> None:
