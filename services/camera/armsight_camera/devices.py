@@ -7,11 +7,11 @@ from enum import Enum
 from pathlib import Path
 
 from armsight.errors import ConfigError
+from armsight.topics import NAME
 
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm"})
 """Endings of the files that are taken for pictures, in lower case."""
 
-_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _NAMED = re.compile(r"(?P<name>[A-Za-z0-9_.-]+)=(?P<source>.+)", re.DOTALL)
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://.+")
 
@@ -68,7 +68,7 @@ def _device(text: str, place: int) -> Device:
     # a URL may have an equals sign as well, and a file that is there is that file
     named = None if _URL.fullmatch(text) or Path(text).exists() else _NAMED.fullmatch(text)
     name, source = (named["name"], named["source"]) if named else (str(place), text)
-    if not _NAME.fullmatch(name):
+    if not NAME.fullmatch(name):
         raise ConfigError(f"--device {text}: a camera's name is up to 64 letters, digits, _, - and .")
     return Device(name, *_source(source))
 

@@ -171,7 +171,7 @@ def test_a_camera_of_which_no_centre_agrees_with_any_pose_is_refused_in_words() 
         else found
         for (camera, pose), found in seen.sightings.items()
     }
-    with pytest.raises(UndeterminedError, match="camera 2: [0-9]+ of 30 centres don't agree with any pose") as refused:
+    with pytest.raises(UndeterminedError, match=r"camera 2: [0-9]+ of 30 centres don't agree with any pose") as refused:
         calibrate(replace(seen, sightings=wrong), {})
     assert "nan" not in str(refused.value)
 
@@ -203,7 +203,9 @@ def test_footage_that_cannot_be_used_is_named(tmp_path: Path) -> None:
             find_footage(tmp_path / name, known, 10)
 
 
-def test_a_recording_without_an_instant_that_all_cameras_show_is_refused_with_unknown_angles_too(tmp_path: Path) -> None:
+def test_a_recording_without_an_instant_that_all_cameras_show_is_refused_with_unknown_angles_too(
+    tmp_path: Path,
+) -> None:
     series = Series(tmp_path / "run.mcap", Limits(), {"namespace": "robots/arm"})
     for arrival in arrivals(3):
         if arrival.sample.key != "camera/2/image":
