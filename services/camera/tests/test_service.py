@@ -308,9 +308,18 @@ def test_frame_of_another_size_is_counted_and_never_sent(cameras: Running) -> No
     cameras.start()
     cameras.next_of("1", "frames come")
     cameras.drivers["1"].image = np.zeros((HEIGHT, 2 * WIDTH, 3), dtype=np.uint8)
-    cameras.counts("frames_of_another_size", 3)
+    cameras.counts("frames_of_another_size")
+    cameras.says(HEALTH_STATUS_DEGRADED, "camera 1 (/dev/video0)", f"{2 * WIDTH} x {HEIGHT}", "calibrate")
     assert {image.width for image in list(cameras.images)} == {WIDTH}
     cameras.next_of("2", "the other goes on")
+
+
+def test_stream_that_says_no_size_and_whose_pictures_have_another_one_is_refused(cameras: Running) -> None:
+    cameras.drivers["2"].reported = None
+    cameras.drivers["2"].image = np.zeros((HEIGHT, 2 * WIDTH, 3), dtype=np.uint8)
+    cameras.start()
+    cameras.thread.join(5.0)
+    assert isinstance(cameras.error, SizeError)
 
 
 def test_driver_that_fails_in_any_way_is_opened_again(cameras: Running) -> None:

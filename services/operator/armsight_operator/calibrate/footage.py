@@ -12,9 +12,10 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from armsight import topics
 from armsight.calibration import KnownCamera
 from armsight.errors import ConfigError
+from armsight.pictures import pictures_in
 from armsight.times import NS_PER_S
 from armsight.v1.description_pb2 import ArmDescription
-from armsight_operator.calibrate.frames import Picture, decoded, pictures_in, read_picture
+from armsight_operator.calibrate.frames import Picture, decoded, read_picture
 from armsight_operator.calibrate.lens import Array
 from armsight_operator.recording.reader import Recording
 
