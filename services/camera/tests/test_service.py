@@ -466,10 +466,11 @@ def test_sigterm_ends_it_while_the_driver_blocks(
     [
         (("--device", "{small}"), "32 x 24"),
         (("--device", "{broken}"), "can't be opened"),
+        (("--device", "{empty}"), "none of its pictures"),
         (("--device", "{undecodable}"), "none of its pictures"),
         (("--device", "0", "--calibration", "{absent}"), "can't be read"),
     ],
-    ids=["another size", "no video", "no pictures", "no calibration"],
+    ids=["another size", "no video", "no frames", "no pictures", "no calibration"],
 )
 def test_what_cannot_be_used_is_refused_before_it_starts(flags: Sequence[str], reason: str, tmp_path: Path) -> None:
     file = write_calibration(tmp_path / "c.json", "1")
@@ -480,6 +481,7 @@ def test_what_cannot_be_used_is_refused_before_it_starts(flags: Sequence[str], r
     places = {
         "small": tmp_path / "small",
         "broken": tmp_path / "broken.avi",
+        "empty": write_video(tmp_path / "empty.avi", []),
         "undecodable": tmp_path / "undecodable",
         "absent": tmp_path / "absent.json",
     }
