@@ -4,7 +4,10 @@ from pathlib import Path
 import pytest
 
 from armsight_operator.stack import Stack
+from armsight_sim.gl import choose_gl
 from rig import Rig, started
+
+choose_gl()  # before a test imports mujoco
 
 MakeRig = Callable[..., Rig]
 

@@ -6,6 +6,7 @@ ray for each part of a pixel, the arm is rendered with a wide field of view and 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import mujoco
@@ -47,18 +48,8 @@ class TrueLens:
         )
 
     def directions(self) -> tuple[Array, Array]:
-        """x/z and y/z of every part of every pixel: two arrays of SIDE * PARTS squared."""
-        steps = (np.arange(SIDE * PARTS) + 0.5) / PARTS - 0.5
-        bent_x, bent_y = np.meshgrid((steps - self.centre[0]) / self.focal, (steps - self.centre[1]) / self.focal)
-        x, y, step = bent_x.copy(), bent_y.copy(), 1e-6
-        for _ in range(12):
-            at_x, at_y = self.bend(x, y)
-            (ax, ay), (bx, by) = self.bend(x + step, y), self.bend(x, y + step)
-            a, c, b, d = (ax - at_x) / step, (ay - at_y) / step, (bx - at_x) / step, (by - at_y) / step
-            off_x, off_y, determinant = bent_x - at_x, bent_y - at_y, a * d - b * c
-            x += (d * off_x - b * off_y) / determinant
-            y += (a * off_y - c * off_x) / determinant
-        return x, y
+        """x/z and y/z of every part of every pixel: two arrays of SIDE * PARTS squared, not to be written to."""
+        return _directions(self)
 
 
 LENSES = {
@@ -155,15 +146,11 @@ def draw_board(
     """By where the ray of each part of a pixel meets the plane of the board, on light grey."""
     normal = rotation[:, 2]
     along = (normal @ middle) / (normal[0] * x + normal[1] * y + normal[2])
-    columns = rotation[:, 0] @ np.array([0, 0, 1]) * along + along * (rotation[0, 0] * x + rotation[1, 0] * y)
-    rows = rotation[:, 1] @ np.array([0, 0, 1]) * along + along * (rotation[0, 1] * x + rotation[1, 1] * y)
-    columns = (columns - rotation[:, 0] @ middle) / size_m[0] + 0.5
-    rows = (rows - rotation[:, 1] @ middle) / size_m[1] + 0.5
-    columns[along <= 0] = -1.0
-    at = [
-        (share * side - 0.5).astype(np.float32)
-        for share, side in ((columns, texture.shape[1]), (rows, texture.shape[0]))
-    ]
+    at = []
+    for (across, down, forward), size, side in zip(rotation.T[:2], size_m, texture.shape[::-1], strict=True):
+        on_board = along * (across * x + down * y + forward) - np.array([across, down, forward]) @ middle
+        at.append(((on_board / size + 0.5) * side - 0.5).astype(np.float32))
+    at[0][along <= 0] = -texture.shape[1]
     parts = cv2.remap(texture, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(190,))
     grey = _averaged(np.asarray(parts, dtype=np.uint8)[..., None])
     return noisy(np.repeat(0.85 * grey + 15, 3, axis=2), random)
@@ -174,11 +161,24 @@ def noisy(picture: Array, random: np.random.Generator) -> Picture:
     return np.asarray(np.clip(np.rint(picture + random.normal(0, NOISE, picture.shape)), 0, 255), dtype=np.uint8)
 
 
+@cache
+def _directions(lens: TrueLens) -> tuple[Array, Array]:
+    steps = (np.arange(SIDE * PARTS) + 0.5) / PARTS - 0.5
+    bent_x, bent_y = np.meshgrid((steps - lens.centre[0]) / lens.focal, (steps - lens.centre[1]) / lens.focal)
+    x, y, step = bent_x.copy(), bent_y.copy(), 1e-6
+    for _ in range(7):
+        at_x, at_y = lens.bend(x, y)
+        (ax, ay), (bx, by) = lens.bend(x + step, y), lens.bend(x, y + step)
+        a, c, b, d = (ax - at_x) / step, (ay - at_y) / step, (bx - at_x) / step, (by - at_y) / step
+        off_x, off_y, determinant = bent_x - at_x, bent_y - at_y, a * d - b * c
+        x += (d * off_x - b * off_y) / determinant
+        y += (a * off_y - c * off_x) / determinant
+    return x, y
+
+
 def _averaged(parts: Picture) -> Array:
-    rows, columns, channels = parts.shape
-    return np.asarray(
-        parts.reshape(rows // PARTS, PARTS, columns // PARTS, PARTS, channels).mean(axis=(1, 3), dtype=np.float64)
-    )
+    total = sum(parts[row::PARTS, column::PARTS].astype(np.uint16) for row in range(PARTS) for column in range(PARTS))
+    return np.asarray(total / PARTS**2, dtype=np.float64)
 
 
 def _unit(random: np.random.Generator) -> Array:

@@ -15,6 +15,7 @@ One JSON object:
 """
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +31,12 @@ from armsight.v1.description_pb2 import ArmDescription, Color
 
 M = TypeVar("M", bound=Message)
 
+PLUMB_BOB = "plumb_bob"
+"""The one model of distortion: k1, k2, p1, p2, k3."""
+
+_WORLD = "world"
+_MOST_OFF_UNIT = 1e-3
+"""Of a quaternion's norm; vision refuses more."""
 _PARTS = frozenset({"cameras", "colours", "description"})
 _CAMERA_PARTS = frozenset({"calibration", "pose"})
 
@@ -64,7 +71,7 @@ def read_calibration_file(path: Path) -> CalibrationFile:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path} can't be read: {error.strerror}") from error
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # no UTF-8, no JSON, or a number that is too long
         raise ConfigError(f"{path} is not JSON: {error}") from error
     try:
         return _parsed(content)
@@ -90,6 +97,54 @@ def write_calibration_file(path: Path, content: CalibrationFile) -> None:
         partial.replace(path)
     except OSError as error:
         raise ConfigError(f"{path} can't be written: {error.strerror}") from error
+
+
+def optical_frame(camera: str) -> str:
+    """Name of a camera's optical frame on the bus."""
+    return f"camera_{camera}_optical"
+
+
+def checked_lens(message: CameraCalibration, camera: str) -> CameraCalibration:
+    """A calibration that vision can use, by the names of the bus whatever its maker calls the frame.
+
+    Raises:
+        ConfigError: it has no size, not the 9 numbers of K, a focal length that is not above 0, or another lens' D.
+    """
+    k, d = message.K, message.D
+    if not (message.width and message.height) or len(k) != 9:
+        wrong = "has no size or not the 9 numbers of K"
+    elif not all(map(math.isfinite, (*k, *d))) or min(k[0], k[4]) <= 0:
+        wrong = "has a focal length that is not above 0, or a number that is not finite"
+    elif len(d) > 5 or (any(d) and message.distortion_model != PLUMB_BOB):
+        wrong = f"is of a lens of another kind than {PLUMB_BOB} with at most 5 numbers of D"
+    else:
+        result = CameraCalibration()
+        result.CopyFrom(message)
+        result.frame_id = optical_frame(camera)
+        return result
+    raise ConfigError(f"the calibration of camera {camera} {wrong}: `armsight calibrate intrinsics` makes it anew")
+
+
+def checked_pose(message: FrameTransform, camera: str) -> FrameTransform:
+    """A pose that vision can use, by the names of the bus; without a parent it is taken for one in the world.
+
+    Raises:
+        ConfigError: it is in another frame than the world, its rotation is none, or its place is not finite.
+    """
+    rotation, place = message.rotation, message.translation
+    norm = math.hypot(rotation.w, rotation.x, rotation.y, rotation.z)
+    if message.parent_frame_id not in ("", _WORLD):
+        wrong = f"is in the frame {message.parent_frame_id!r} instead of {_WORLD!r}"
+    elif not abs(norm - 1) < _MOST_OFF_UNIT:
+        wrong = "has a rotation that is no unit quaternion"
+    elif not all(map(math.isfinite, (place.x, place.y, place.z))):
+        wrong = "has a place that is not finite"
+    else:
+        result = FrameTransform()
+        result.CopyFrom(message)
+        result.parent_frame_id, result.child_frame_id = _WORLD, optical_frame(camera)
+        return result
+    raise ConfigError(f"the pose of camera {camera} {wrong}: `armsight calibrate extrinsics` makes it anew")
 
 
 def _parsed(content: object) -> CalibrationFile:

@@ -1,5 +1,6 @@
 """The keys of the bus with their messages and quality of service, read from ``topics.toml`` (their one home)."""
 
+import re
 import tomllib
 from dataclasses import dataclass
 from importlib import resources
@@ -36,6 +37,9 @@ Request = TypeVar("Request", bound=Message)
 Response = TypeVar("Response", bound=Message)
 
 Delivery = Literal["latched", "drop", "block"]
+
+NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+"""Of cameras and markers: what may stand for {name} in a key."""
 
 SERVICES = ("sim", "vision", "control")
 """The services of the loop, in the order in which data pass them."""

@@ -7,7 +7,14 @@ import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
-from armsight.calibration import CalibrationFile, KnownCamera, read_calibration_file, write_calibration_file
+from armsight.calibration import (
+    CalibrationFile,
+    KnownCamera,
+    checked_lens,
+    checked_pose,
+    read_calibration_file,
+    write_calibration_file,
+)
 from armsight.errors import ConfigError
 from armsight.v1.description_pb2 import ArmDescription, Color
 
@@ -31,6 +38,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     [
         ("{", "is not JSON"),
         ("[" * 200_000, "is not JSON"),
+        ('{"cameras": ' + "9" * 5000 + "}", "is not JSON"),
         ("[]", "the file is not an object"),
         ('{"camera": {}}', "the file has no camera; it may have cameras, colours, description"),
         ('{"cameras": {"1": 5}}', "camera 1 is not an object"),
@@ -63,3 +71,48 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="can't be written"):
         write_calibration_file(path, CalibrationFile())
     assert json.loads(path.read_text())["colours"] == {"red": {"red": 1.0}}
+
+
+K = (500.0, 0.0, 319.5, 0.0, 500.0, 239.5, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("lens", "said"),
+    [
+        (CameraCalibration(width=640, K=K), "no size"),
+        (CameraCalibration(width=640, height=480, K=K[:8]), "9 numbers of K"),
+        (CameraCalibration(width=640, height=480, K=(-500.0, *K[1:])), "focal length"),
+        (CameraCalibration(width=640, height=480, K=K, D=[float("nan")]), "not finite"),
+        (CameraCalibration(width=640, height=480, K=K, D=[0.1], distortion_model="equidistant"), "of another kind"),
+        (CameraCalibration(width=640, height=480, K=K, D=[0.1] * 8, distortion_model="plumb_bob"), "at most 5"),
+    ],
+)
+def test_a_lens_that_vision_could_not_use_is_refused(lens: CameraCalibration, said: str) -> None:
+    with pytest.raises(ConfigError, match=f"camera left .*{said}.*calibrate intrinsics"):
+        checked_lens(lens, "left")
+
+
+@pytest.mark.parametrize(
+    ("parent", "w", "x_m", "said"),
+    [
+        ("table", 1.0, 0.0, "in the frame 'table'"),
+        ("world", 0.0, 0.0, "no unit quaternion"),
+        ("world", float("nan"), 0.0, "no unit quaternion"),
+        ("world", 1.0, float("inf"), "not finite"),
+    ],
+)
+def test_a_pose_that_vision_could_not_use_is_refused(parent: str, w: float, x_m: float, said: str) -> None:
+    pose = FrameTransform(parent_frame_id=parent)
+    pose.rotation.w, pose.translation.x = w, x_m
+    with pytest.raises(ConfigError, match=f"camera left .*{said}.*calibrate extrinsics"):
+        checked_pose(pose, "left")
+
+
+def test_what_can_be_used_gets_the_names_of_the_bus_and_stays_as_it_is_else() -> None:
+    lens, pose = CameraCalibration(width=640, height=480, K=K, frame_id="mine"), FrameTransform()
+    pose.rotation.w, pose.translation.y = 1.0, 2.0
+    assert checked_lens(lens, "left") == CameraCalibration(width=640, height=480, K=K, frame_id="camera_left_optical")
+    found = checked_pose(pose, "left")
+    assert (found.parent_frame_id, found.child_frame_id) == ("world", "camera_left_optical")
+    assert (found.translation, found.rotation) == (pose.translation, pose.rotation)
+    assert lens.frame_id == "mine"

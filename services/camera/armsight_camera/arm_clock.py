@@ -42,9 +42,9 @@ class ArmClock:
             period_ns: from one message to the next; 0 where it is not known.
         """
         offset_ns = clock_ns - received_ns
-        if not self._heard or abs(offset_ns - self._offset_ns) > ANOTHER_CLOCK_NS:
+        is_another = not self._heard or abs(offset_ns - self._offset_ns) > ANOTHER_CLOCK_NS
+        if is_another:
             self._heard.clear()
-            self.changes += 1
         self._heard.append((received_ns, offset_ns))
         last = list(self._heard)[-_FELL_BEHIND:]
         held_up_ns = self._offset_ns - max(offset for _, offset in last)
@@ -53,6 +53,8 @@ class ArmClock:
         while received_ns - self._heard[0][0] > WINDOW_NS:
             self._heard.popleft()
         self._offset_ns = max(offset for _, offset in self._heard)
+        # at last: another thread that sees it asks for times of the new clock
+        self.changes += is_another
 
     def capture_ns(self, monotonic_ns: int) -> int:
         """The capture time of an instant of the monotonic clock."""

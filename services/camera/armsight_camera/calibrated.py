@@ -6,7 +6,7 @@ from pathlib import Path
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
-from armsight.calibration import CalibrationFile, KnownCamera
+from armsight.calibration import CalibrationFile, KnownCamera, checked_lens, checked_pose
 from armsight.errors import ConfigError
 
 
@@ -49,20 +49,7 @@ def calibrated(content: CalibrationFile, name: str, path: Path) -> Calibrated:
         )
     if known.pose is None:
         raise ConfigError(f"{path} has no pose of camera {name}: `armsight calibrate extrinsics` makes it")
-    calibration, pose = CameraCalibration(), FrameTransform()
-    calibration.CopyFrom(known.calibration)
-    pose.CopyFrom(known.pose)
-    if not calibration.width or not calibration.height or len(calibration.K) != 9:
-        raise ConfigError(
-            f"{path}: the calibration of camera {name} has no size or not the 9 numbers of K: "
-            "`armsight calibrate intrinsics` makes it anew"
-        )
-    if pose.parent_frame_id not in ("", "world"):
-        raise ConfigError(
-            f"{path}: the pose of camera {name} is in the frame {pose.parent_frame_id!r} instead of 'world': "
-            "`armsight calibrate extrinsics` makes it anew"
-        )
-    # as vision and 3D panels know them, whoever made the file
-    pose.parent_frame_id = "world"
-    pose.child_frame_id = calibration.frame_id = f"camera_{name}_optical"
-    return Calibrated(calibration, pose)
+    try:
+        return Calibrated(checked_lens(known.calibration, name), checked_pose(known.pose, name))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error

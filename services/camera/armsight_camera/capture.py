@@ -119,7 +119,7 @@ class Capture:
             try:
                 ended = self._one_life(first=attempt == 0)
             except SizeError as error:
-                if attempt == 0:
+                if attempt == 0 and not self._delivers:
                     self._say(Unfit(self._device.name, error))
                     return
                 reason = str(error)
@@ -191,17 +191,20 @@ class Capture:
         return image
 
     def _hand_over(self, frame: Frame) -> None:
-        self._delivers = True
         height, width, _ = frame.image.shape
         if (width, height) != (self._wanted.width, self._wanted.height):
             self._counters.add("frames_of_another_size")
-        elif self._device.ends:
+            if not self._device.ends:
+                self._check((width, height))
+            return
+        self._delivers = True
+        if self._device.ends:
             self._say(frame)
-        else:
-            try:
-                self._events.put_nowait(frame)
-            except queue.Full:
-                self._counters.add("frames_dropped")
+            return
+        try:
+            self._events.put_nowait(frame)
+        except queue.Full:
+            self._counters.add("frames_dropped")
 
     def _say(self, event: Event) -> None:
         """Waits for room."""

@@ -7,11 +7,9 @@ from enum import Enum
 from pathlib import Path
 
 from armsight.errors import ConfigError
+from armsight.pictures import SUFFIXES, pictures_in
+from armsight.topics import NAME
 
-PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm"})
-"""Endings of the files that are taken for pictures, in lower case."""
-
-_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _NAMED = re.compile(r"(?P<name>[A-Za-z0-9_.-]+)=(?P<source>.+)", re.DOTALL)
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://.+")
 
@@ -52,23 +50,25 @@ def parse_devices(given: Sequence[str]) -> tuple[Device, ...]:
     """
     if not given:
         raise ConfigError("say where pictures come from: --device 0, --device /dev/video0, a URL, a video or a folder")
-    devices = tuple(_device(text, place) for place, text in enumerate(given, 1))
+    devices = tuple(_readable(text, place) for place, text in enumerate(given, 1))
     names = [device.name for device in devices]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ConfigError(f"two devices are called {twice[0]}: give each a name of its own, --device NAME=SOURCE")
     return devices
 
 
-def pictures_in(folder: Path) -> tuple[Path, ...]:
-    """The pictures of a folder in the order of their names."""
-    return tuple(sorted(file for file in folder.iterdir() if file.suffix.lower() in PICTURES and file.is_file()))
+def _readable(text: str, place: int) -> Device:
+    try:
+        return _device(text, place)
+    except OSError as error:
+        raise ConfigError(f"--device {text} can't be read: {error.strerror}") from error
 
 
 def _device(text: str, place: int) -> Device:
     # a URL may have an equals sign as well, and a file that is there is that file
     named = None if _URL.fullmatch(text) or Path(text).exists() else _NAMED.fullmatch(text)
     name, source = (named["name"], named["source"]) if named else (str(place), text)
-    if not _NAME.fullmatch(name):
+    if not NAME.fullmatch(name):
         raise ConfigError(f"--device {text}: a camera's name is up to 64 letters, digits, _, - and .")
     return Device(name, *_source(source))
 
@@ -83,7 +83,7 @@ def _source(source: str) -> tuple[str, Kind]:
     path = Path(source)
     if path.is_dir():
         if not pictures_in(path):
-            raise ConfigError(f"--device {source}: the folder has no pictures ({', '.join(sorted(PICTURES))})")
+            raise ConfigError(f"--device {source}: the folder has no pictures ({', '.join(sorted(SUFFIXES))})")
         return source, Kind.FOLDER
     if path.is_file():
         return source, Kind.VIDEO

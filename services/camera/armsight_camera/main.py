@@ -62,7 +62,7 @@ def check_files(settings: Settings) -> None:
         except SourceError as error:
             raise ConfigError(f"{device}: {error}") from error
         try:
-            size = source.size()
+            size = source.size() if source.grab() else None
         finally:
             source.close()
         if size is None:

@@ -14,7 +14,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from armsight_camera.devices import Device, Kind, pictures_in
+from armsight.errors import ConfigError
+from armsight.pictures import pictures_in
+from armsight_camera.devices import Device, Kind
 from armsight_camera.errors import SourceError
 from armsight_camera.settings import Wanted
 
@@ -129,8 +131,8 @@ class Folder:
         self.fps: float | None = wanted.fps or DEFAULT_FPS
         try:
             self._pictures = pictures_in(Path(device.source))
-        except OSError as error:
-            raise SourceError(f"{device.source} can't be read: {error.strerror}") from error
+        except ConfigError as error:
+            raise SourceError(str(error)) from error
         if not self._pictures:
             raise SourceError(f"{device.source} has no pictures")
         self._next, self._grabbed = count(), 0

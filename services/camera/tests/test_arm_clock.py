@@ -55,3 +55,17 @@ def test_time_goes_on_when_the_clock_is_gone() -> None:
     clock = ArmClock(0)
     clock.heard(START, 0, PERIOD)
     assert clock.capture_ns(3600 * NS_PER_S) == START + 3600 * NS_PER_S
+
+
+def test_another_clock_is_told_of_once_it_is_in_force() -> None:
+    """Who sends looks at `changes` before it asks for a time: else the first time would be of the clock before."""
+    told: list[int] = []
+
+    class Watched(ArmClock):
+        def __setattr__(self, name: str, value: object) -> None:
+            super().__setattr__(name, value)
+            if name == "changes" and value:
+                told.append(self.capture_ns(0))
+
+    Watched(5 * NS_PER_S).heard(100 * NS_PER_S, 0, 0)
+    assert told == [100 * NS_PER_S]

@@ -308,9 +308,18 @@ def test_frame_of_another_size_is_counted_and_never_sent(cameras: Running) -> No
     cameras.start()
     cameras.next_of("1", "frames come")
     cameras.drivers["1"].image = np.zeros((HEIGHT, 2 * WIDTH, 3), dtype=np.uint8)
-    cameras.counts("frames_of_another_size", 3)
+    cameras.counts("frames_of_another_size")
+    cameras.says(HEALTH_STATUS_DEGRADED, "camera 1 (/dev/video0)", f"{2 * WIDTH} x {HEIGHT}", "calibrate")
     assert {image.width for image in list(cameras.images)} == {WIDTH}
     cameras.next_of("2", "the other goes on")
+
+
+def test_stream_that_says_no_size_and_whose_pictures_have_another_one_is_refused(cameras: Running) -> None:
+    cameras.drivers["2"].reported = None
+    cameras.drivers["2"].image = np.zeros((HEIGHT, 2 * WIDTH, 3), dtype=np.uint8)
+    cameras.start()
+    cameras.thread.join(5.0)
+    assert isinstance(cameras.error, SizeError)
 
 
 def test_driver_that_fails_in_any_way_is_opened_again(cameras: Running) -> None:
@@ -457,10 +466,11 @@ def test_sigterm_ends_it_while_the_driver_blocks(
     [
         (("--device", "{small}"), "32 x 24"),
         (("--device", "{broken}"), "can't be opened"),
+        (("--device", "{empty}"), "none of its pictures"),
         (("--device", "{undecodable}"), "none of its pictures"),
         (("--device", "0", "--calibration", "{absent}"), "can't be read"),
     ],
-    ids=["another size", "no video", "no pictures", "no calibration"],
+    ids=["another size", "no video", "no frames", "no pictures", "no calibration"],
 )
 def test_what_cannot_be_used_is_refused_before_it_starts(flags: Sequence[str], reason: str, tmp_path: Path) -> None:
     file = write_calibration(tmp_path / "c.json", "1")
@@ -471,6 +481,7 @@ def test_what_cannot_be_used_is_refused_before_it_starts(flags: Sequence[str], r
     places = {
         "small": tmp_path / "small",
         "broken": tmp_path / "broken.avi",
+        "empty": write_video(tmp_path / "empty.avi", []),
         "undecodable": tmp_path / "undecodable",
         "absent": tmp_path / "absent.json",
     }

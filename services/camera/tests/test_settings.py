@@ -1,4 +1,4 @@
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -44,6 +44,20 @@ def test_devices_that_cannot_be_are_refused(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=reason):
         parse_devices(given)
+
+
+def test_a_folder_that_may_not_be_read_is_refused_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def denied(_: Path) -> Iterator[Path]:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", denied)  # whoever runs the tests may read everything
+    with pytest.raises(ConfigError, match="can't be read: Permission denied"):
+        parse_devices([str(tmp_path)])
+
+
+def test_a_name_that_is_too_long_for_a_file_is_refused_in_words() -> None:
+    with pytest.raises(ConfigError, match="can't be read: File name too long"):
+        parse_devices(["x" * 5000])
 
 
 @pytest.mark.parametrize(

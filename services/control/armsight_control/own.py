@@ -6,6 +6,7 @@ started with, and imports nothing.
 
 import importlib
 import importlib.util
+import sys
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -38,7 +39,7 @@ def load(place: str) -> Callable[..., Any]:
         raise OwnPartError(f"{place!r} is no place of a part: expected module:name or file.py:name")
     try:
         module = _module_of_file(Path(where)) if where.endswith(".py") else importlib.import_module(where)
-    except Exception as error:  # somebody else's code: anything can go wrong in it
+    except (Exception, SystemExit) as error:  # somebody else's code: anything can go wrong in it
         raise OwnPartError(f"{place}: {where} can't be imported: {type(error).__name__}: {error}") from error
     part = getattr(module, name, None)
     if not callable(part):
@@ -47,9 +48,15 @@ def load(place: str) -> Callable[..., Any]:
 
 
 def _module_of_file(file: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(file.stem, file)
+    name = str(file.resolve())  # no module that can be imported is called so: it takes the place of none
+    spec = importlib.util.spec_from_file_location(name, file)
     if spec is None or spec.loader is None:
         raise ImportError(f"{file} is no Python file")
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    sys.modules[name] = module  # dataclasses and pickle look for their module there
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
     return module

@@ -47,6 +47,10 @@ def not_finite(chain, target, start, free):
 def fails(chain, target, start, free):
     raise KeyError("no idea")
 
+def lends(chain, target, start, free):
+    start.flags.writeable = False
+    return start
+
 NUMBER = 5
 """
 ESTIMATORS = """
@@ -109,6 +113,24 @@ def test_a_file_that_fails_while_it_is_imported_is_refused(tmp_path: Path) -> No
         own_parts.load(f"{tmp_path / 'broken.py'}:solve")
 
 
+def test_a_file_that_ends_the_process_while_it_is_imported_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text("import sys\ndef solve(*_): ...\nsys.exit(0)")
+    with pytest.raises(OwnPartError, match="SystemExit: 0"):
+        own_parts.load(f"{tmp_path / 'script.py'}:solve")
+
+
+def test_a_file_may_have_dataclasses_with_annotations_that_are_not_evaluated(tmp_path: Path) -> None:
+    lines = (
+        "from __future__ import annotations",
+        "from dataclasses import dataclass",
+        "@dataclass",
+        "class Gains:",
+        "    p: float",
+    )
+    (tmp_path / "typed.py").write_text("\n".join(lines))
+    assert own_parts.load(f"{tmp_path / 'typed.py'}:Gains")(2.0).p == 2.0
+
+
 def test_what_is_no_function_is_refused(solvers: str) -> None:
     with pytest.raises(OwnPartError, match="no function or class NUMBER"):
         own_parts.load(f"{solvers}:NUMBER")
@@ -144,6 +166,11 @@ def test_what_it_does_to_its_arguments_changes_nothing(arm: Arm, solvers: str) -
     assert targets.tolist() == [[3.0, 2.0, 7.0]]
     assert starts.tolist() == [START.tolist()]
     assert solutions.q[0].tolist() == [0.0, 0.2, 0.0, 0.0]
+
+
+def test_an_answer_that_may_not_be_written_to_is_taken_as_well(arm: Arm, solvers: str) -> None:
+    problem = Problem(arm.chain, np.array([3.0, 2.0, 7.0]), START, FREE)
+    assert solve(f"{solvers}:lends", problem).q == pytest.approx(START)
 
 
 @pytest.mark.parametrize(

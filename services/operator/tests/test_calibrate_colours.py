@@ -49,6 +49,15 @@ def test_a_colour_is_that_of_the_paint_whatever_the_shade() -> None:
         assert found.mask.sum() == pytest.approx(np.pi * 14**2, rel=0.1)
 
 
+def test_a_place_on_a_highlight_gives_the_marker_and_not_what_is_around_it() -> None:
+    picture = painted()
+    x, y = PLACES["red"]
+    picture[y, x] = (255, 255, 255)
+    found = learn_at(picture, x, y)
+    np.testing.assert_allclose(found.colour, np.array(PAINT["red"]) / max(PAINT["red"]), atol=0.02)
+    assert found.mask.sum() == pytest.approx(np.pi * 14**2, rel=0.1)
+
+
 def test_pixels_are_taken_by_the_marker_that_they_belong_to() -> None:
     picture = painted()
     owner = taken(picture, {name: np.array(ink, dtype=float) for name, ink in PAINT.items()})

@@ -9,7 +9,7 @@ from PIL import Image
 
 from armsight.calibration import read_calibration_file
 from armsight.errors import ConfigError
-from armsight_operator.calibrate.board import Board, Corners, draw_board, find_corners, parse_board
+from armsight_operator.calibrate.board import Board, Corners, draw_board, find_corners, parse_board, write_board
 from armsight_operator.calibrate.errors import UndeterminedError
 from armsight_operator.calibrate.frames import frames
 from armsight_operator.calibrate.intrinsics import calibrate
@@ -147,6 +147,15 @@ def test_a_printed_board_has_its_size(tmp_path: Path) -> None:
         assert drawn.width / drawn.info["dpi"][0] * 0.0254 == pytest.approx(8 * 0.04, rel=1e-3)
 
 
+@pytest.mark.parametrize(("square_m", "marker_m"), [(0.01, 0.002), (0.001, 0.0008), (50.0, 40.0)])
+def test_a_board_whose_markers_have_no_pixels_at_this_resolution_is_not_drawn(
+    square_m: float, marker_m: float, tmp_path: Path
+) -> None:
+    board = parse_board("charuco:7x5", square_m, marker_m, "7X7_50")
+    with pytest.raises(ConfigError, match="change --dpi"):
+        write_board(board, tmp_path / "board.png", 50)
+
+
 @pytest.mark.parametrize(
     ("text", "square_m", "marker_m", "dictionary", "said"),
     [
@@ -155,6 +164,7 @@ def test_a_printed_board_has_its_size(tmp_path: Path) -> None:
         ("charuco:7x5", 0.1, None, "4X4_50", "--marker-m"),
         ("charuco:7x5", 0.1, 0.2, "4X4_50", "--marker-m"),
         ("charuco:7x5", 0.1, 0.05, "9X9", "--dictionary"),
+        ("charuco:7x5", 1e308, 1e307, "4X4_50", "--square-m"),
         ("charuco:20x20", 0.1, 0.05, "4X4_50", "has 200 markers"),
         ("checkerboard:2x9", 0.1, None, "4X4_50", "at least 3"),
     ],
@@ -192,6 +202,17 @@ def test_inputs_that_cannot_be_used_are_named_and_nothing_is_written(
         assert ended.value.code == 2, source
         assert said in capsys.readouterr().err
     assert not file.exists()
+
+
+@pytest.mark.parametrize("camera", ["", "left eye", "../1", "*", "ü"])
+def test_a_camera_that_the_bus_could_not_name_is_not_written(
+    camera: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--camera", camera, "--board", "checkerboard:9x6", "--square-m", "0.1"]
+    with pytest.raises(SystemExit) as ended:
+        main(["calibrate", "intrinsics", str(tmp_path), *words])
+    assert ended.value.code == 2
+    assert f"--camera {camera!r}" in capsys.readouterr().err
 
 
 def test_pictures_without_a_board_are_refused_with_exit_code_1_and_the_file_stays(

@@ -17,8 +17,9 @@ from armsight_operator.calibrate.footage import Angles, find_footage
 from armsight_operator.calibrate.lens import Array, Lens, project
 from armsight_operator.calibrate.rigid import CameraPose, aligned, message_of_pose, pose_of, turn
 from armsight_operator.calibrate.sightings import Sighting
+from armsight_operator.recording.series import Limits, Series
 from fake_arm import description
-from recorded import record
+from recorded import arrivals, record
 
 ARM = marked_arm(description())
 LENS = Lens(800, 800, np.array([476.0, 478.0]), np.array([400.0, 398.0]), np.array([-0.2, 0.05, 1e-3, -5e-4, 0.0]))
@@ -160,6 +161,21 @@ def test_sightings_that_do_not_determine_poses_are_refused(seen: Measured, said:
         calibrate(seen, {})
 
 
+def test_a_camera_of_which_no_centre_agrees_with_any_pose_is_refused_in_words() -> None:
+    seen, random = measured(angles(3, 30), known=True), np.random.default_rng(1)
+    wrong = {
+        (camera, pose): [
+            replace(found[0], pixel=random.uniform(0, 800, 2), place=random.uniform((-3, -3, 5), (3, 3, 20)))
+        ]
+        if camera
+        else found
+        for (camera, pose), found in seen.sightings.items()
+    }
+    with pytest.raises(UndeterminedError, match=r"camera 2: [0-9]+ of 30 centres don't agree with any pose") as refused:
+        calibrate(replace(seen, sightings=wrong), {})
+    assert "nan" not in str(refused.value)
+
+
 def test_angles_of_another_arm_are_refused() -> None:
     q = angles(3, 30)
     with pytest.raises(UndeterminedError, match="intrinsics and angles"):
@@ -185,6 +201,18 @@ def test_footage_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     for (name, known), said in refusals.items():
         with pytest.raises(ConfigError, match=said):
             find_footage(tmp_path / name, known, 10)
+
+
+def test_a_recording_without_an_instant_that_all_cameras_show_is_refused_with_unknown_angles_too(
+    tmp_path: Path,
+) -> None:
+    series = Series(tmp_path / "run.mcap", Limits(), {"namespace": "robots/arm"})
+    for arrival in arrivals(3):
+        if arrival.sample.key != "camera/2/image":
+            series.write(arrival)
+    series.finish("asked to stop", {})
+    with pytest.raises(ConfigError, match="no instant with pictures of all cameras"):
+        find_footage(tmp_path / "run.mcap", Angles.UNKNOWN, 10)
 
 
 def test_instants_of_a_recording_are_those_that_differ(tmp_path: Path) -> None:

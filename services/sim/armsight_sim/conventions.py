@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from armsight.topics import NAME
 from armsight_sim.anatomy import MARKER, Element, Kind, Places, balls, carrier, moves, place_of, shape_of, tip_of
 from armsight_sim.errors import ModelError
-from armsight_sim.settings import LEAST_SIDE_PX, MOST_SIDE_PX, NAME
+from armsight_sim.settings import LEAST_SIDE_PX, MOST_SIDE_PX
 
 # What vision needs to tell colours apart (services/vision_cpp/src/classify.cpp).
 LEAST_HUE_DISTANCE_RAD = math.radians(12)

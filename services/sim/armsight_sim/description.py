@@ -9,6 +9,7 @@ import numpy.typing as npt
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
+from armsight.calibration import optical_frame
 from armsight.times import to_timestamp
 from armsight.v1.description_pb2 import (
     SHAPE_BOX,
@@ -116,11 +117,6 @@ def camera_pose(model: mujoco.MjModel, camera: str, stamp_ns: int) -> FrameTrans
     pose.translation.x, pose.translation.y, pose.translation.z = position
     pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z = turned
     return pose
-
-
-def optical_frame(camera: str) -> str:
-    """Name of a camera's optical frame."""
-    return f"camera_{camera}_optical"
 
 
 def _joint(model: mujoco.MjModel, places: Places, speeds: Vector, index: int) -> Joint:

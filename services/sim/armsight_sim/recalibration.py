@@ -1,11 +1,12 @@
 """A file of cameras and colours in place of the model's: what a person measured reaches everybody through sim."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 
-from armsight.calibration import CalibrationFile, read_calibration_file
+from armsight.calibration import CalibrationFile, KnownCamera, checked_lens, checked_pose, read_calibration_file
 from armsight.errors import ConfigError
 from armsight.v1.description_pb2 import ArmDescription
 from armsight_sim import description
@@ -25,13 +26,17 @@ def read_recalibration(
         markers: names of the model's markers.
 
     Raises:
-        ConfigError: it can't be read, or tells of cameras, sizes or markers that the model doesn't have.
+        ConfigError: it can't be read, has numbers that are no lens or no pose, or tells of cameras, sizes or markers
+            that the model doesn't have.
     """
     if path is None:
         return CalibrationFile()
     content = read_calibration_file(path)
     if sizes is not None:
-        _check_cameras(path, content, sizes)
+        try:
+            content = replace(content, cameras=_checked(content.cameras, sizes))
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
     if unknown := sorted(set(content.colours) - markers):
         raise ConfigError(
             f"{path}: no marker {', '.join(unknown)} in the model, which has {', '.join(sorted(markers))}"
@@ -39,18 +44,20 @@ def read_recalibration(
     return content
 
 
-def _check_cameras(path: Path, content: CalibrationFile, sizes: Mapping[str, tuple[int, int]]) -> None:
-    for name, camera in content.cameras.items():
+def _checked(cameras: Mapping[str, KnownCamera], sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
+    result = {}
+    for name, camera in cameras.items():
         if name not in sizes:
-            raise ConfigError(f"{path}: camera {name} is none of the model's, which are {', '.join(sizes)}")
-        if camera.calibration is None:
-            continue
-        told, drawn = (camera.calibration.width, camera.calibration.height), sizes[name]
-        if told != drawn:
+            raise ConfigError(f"camera {name} is none of the model's, which are {', '.join(sizes)}")
+        lens = camera.calibration and checked_lens(camera.calibration, name)
+        drawn = sizes[name]
+        if lens is not None and (lens.width, lens.height) != drawn:
             raise ConfigError(
-                f"{path}: camera {name} is calibrated for pictures of {told[0]} x {told[1]}, sim draws {drawn[0]} x "
+                f"camera {name} is calibrated for pictures of {lens.width} x {lens.height}, sim draws {drawn[0]} x "
                 f"{drawn[1]}: calibrate at this size, or change --width and --height"
             )
+        result[name] = KnownCamera(lens, camera.pose and checked_pose(camera.pose, name))
+    return result
 
 
 def recalibration_of(settings: Settings, model: mujoco.MjModel) -> CalibrationFile:

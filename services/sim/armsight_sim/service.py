@@ -16,7 +16,7 @@ from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 
 from armsight import topics
 from armsight.bus import Received
-from armsight.calibration import KnownCamera
+from armsight.calibration import KnownCamera, optical_frame
 from armsight.images import encode_rgb8
 from armsight.parameters import Value
 from armsight.schema import descriptor_set
@@ -90,7 +90,7 @@ class Simulation:
         bus.publisher(topics.DESCRIPTION).put(recoloured(arm, known))
         block = settings.clock is ClockMode.LOCKSTEP
         self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
-        self._frame_ids = [description.optical_frame(name) for name in self._names]
+        self._frame_ids = [optical_frame(name) for name in self._names]
         self._true = bus.publisher(topics.JOINTS_TRUE)
         self._accepted = bus.publisher(topics.JOINTS_ACCEPTED)
         self._clock = bus.publisher(topics.CLOCK)

@@ -4,20 +4,18 @@ import argparse
 import datetime
 import math
 import os
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from armsight.errors import ConfigError
 from armsight.service import add_service_arguments
 from armsight.times import NS_PER_S, wall_ns
+from armsight.topics import NAME
 from armsight_sim.clock import WATCHDOG_S, ClockMode
 from armsight_sim.targets import NONE, TARGETS, VISIBLE
 
 AMBIENT_SWEEP = "sweep"
 CAMERAS_VARIABLE = "ARMSIGHT_EXTERNAL_CAMERAS"
-NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
-"""Of cameras and markers: what a key on the bus may have in it."""
 LIT, EMISSIVE = "lit", "emissive"
 SAMPLES = (0, 4)
 """For each pixel: software GL gives no others."""

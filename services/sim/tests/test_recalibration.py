@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
 from armsight.calibration import CalibrationFile, KnownCamera, write_calibration_file
 from armsight.errors import ConfigError
@@ -22,7 +23,7 @@ EXECUTABLE = Path(sys.executable).parent / "armsight-sim"
 
 def known(width: int = 800) -> KnownCamera:
     model = load_model()
-    return KnownCamera(description.calibration(model, "1", width, 800, 0), description.camera_pose(model, "1", 0))
+    return KnownCamera(description.calibration(model, "2", width, 800, 0), description.camera_pose(model, "2", 0))
 
 
 def test_what_the_file_says_is_taken_and_nothing_else_changes(tmp_path: Path) -> None:
@@ -44,7 +45,11 @@ def test_without_a_file_the_models_own_holds() -> None:
     ("content", "said"),
     [
         (CalibrationFile({"3": known()}), "camera 3 is none of the model's, which are 1, 2"),
-        (CalibrationFile({"1": known(640)}), "640 x 800, sim draws 800 x 800"),
+        (
+            CalibrationFile({"2": KnownCamera(pose=FrameTransform())}),
+            "camera 2 has a rotation that is no unit quaternion",
+        ),
+        (CalibrationFile({"2": known(640)}), "640 x 800, sim draws 800 x 800"),
         (CalibrationFile({}, {"pink": Color(red=1)}), "no marker pink"),
     ],
 )

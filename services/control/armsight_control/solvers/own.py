@@ -39,7 +39,8 @@ def solve(place: str, task: Task) -> Found:
 
 def _one(place: str, function: Callable[..., Any], task: Task, aim: Array, start: Array) -> Array:
     try:
-        answer = np.asarray(function(task.chain, aim.copy(), start.copy(), task.folded.free), dtype=np.float64)
+        # a copy: what others' arrays lend may be read only
+        answer = np.array(function(task.chain, aim.copy(), start.copy(), task.folded.free), dtype=np.float64)
     except Exception as error:  # somebody else's code: anything can go wrong in it
         raise SolverError(f"the solver {place} failed: {type(error).__name__}: {error}") from error
     if answer.shape != start.shape or not np.isfinite(answer).all():

@@ -1,6 +1,5 @@
 """The board that a camera looks at: its corners in metres, how they are found in a picture, and the board to print."""
 
-import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +26,7 @@ DICTIONARIES = {
 _SHAPE = re.compile(rf"({CHARUCO}|{CHECKERBOARD}):(\d{{1,2}})x(\d{{1,2}})")
 _LEAST_CORNERS = 6
 """Of one picture: fewer say little more than where the board is."""
+_MOST_SQUARE_M = 100.0
 _INCH_M = 0.0254
 _MOST_PRINTED_PX = 20_000
 
@@ -80,8 +80,11 @@ def parse_board(text: str, square_m: float, marker_m: float | None, dictionary: 
     if match is None:
         raise ConfigError(f"--board {text!r} is neither charuco:COLUMNSxROWS nor checkerboard:COLUMNSxROWS")
     kind, columns, rows = match[1], int(match[2]), int(match[3])
-    if not (math.isfinite(square_m) and square_m > 0):
-        raise ConfigError(f"--square-m {square_m:g} is not above 0: measure the printed squares, in metres")
+    if not 0 < square_m <= _MOST_SQUARE_M:
+        raise ConfigError(
+            f"--square-m {square_m:g} is not above 0 and up to {_MOST_SQUARE_M:g}: measure the printed squares, in "
+            "metres"
+        )
     if min(columns, rows) < 3:
         raise ConfigError(f"--board {text}: at least 3 columns and 3 rows are needed")
     if kind == CHECKERBOARD:
@@ -156,7 +159,13 @@ def write_board(board: Board, path: Path, dpi: int) -> tuple[float, float]:
             f"squares of {board.square_m:g} m at {dpi} dpi make no picture that can be printed: change --dpi"
         )
     exact_dpi = square_px * _INCH_M / board.square_m  # whole pixels for a square, and still its size
-    drawn = Image.fromarray(draw_board(board, square_px))
+    try:
+        drawn = Image.fromarray(draw_board(board, square_px))
+    except cv2.error as error:
+        raise ConfigError(
+            f"markers of {board.marker_m:g} m at {dpi} dpi have not enough pixels to be drawn: change --dpi, or take "
+            "larger ones"
+        ) from error
     try:
         if path.suffix.lower() == ".pdf":
             drawn.save(path, resolution=exact_dpi)

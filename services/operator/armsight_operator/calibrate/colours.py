@@ -83,8 +83,8 @@ def learn_at(picture: Picture, column: int, row: int) -> Learnt:
     rows, columns = picture.shape[:2]
     if not (0 <= column < columns and 0 <= row < rows):
         raise ConfigError(f"{column},{row} is outside of the picture of {columns} x {rows}")
-    patch = picture[max(row - _PATCH, 0) : row + _PATCH + 1, max(column - _PATCH, 0) : column + _PATCH + 1]
-    seed = np.median(patch.reshape(-1, 3), axis=0)
+    around = np.s_[max(row - _PATCH, 0) : row + _PATCH + 1, max(column - _PATCH, 0) : column + _PATCH + 1]
+    seed = np.median(picture[around].reshape(-1, 3), axis=0)
     saturation = float(hue_and_saturation(seed)[1])
     if saturation < LEAST_SATURATION or seed.max() - seed.min() < _CHROMA_FLOOR:
         raise UndeterminedError(
@@ -93,7 +93,11 @@ def learn_at(picture: Picture, column: int, row: int) -> Learnt:
         )
     inside = _in_cone(picture, seed, _HUE_HALF_WIDTH_RAD, 0.5)
     _, labels = cv2.connectedComponents(inside.astype(np.uint8))
-    return _learn(picture, np.asarray(labels == labels[row, column]))
+    areas = np.bincount(labels[around].ravel())
+    areas[0] = 0  # of what is not of this colour, such as a highlight just there
+    if not areas.any():
+        raise UndeterminedError(f"what is at {column},{row} is of no one colour: name a place within the marker")
+    return _learn(picture, np.asarray(labels == areas.argmax()))
 
 
 def learn_near(

@@ -148,6 +148,8 @@ def calibrate(measured: Measured, approximate: Mapping[str, CameraPose], hold: S
         raise UndeterminedError("the pictures don't determine where cameras are: " + "; ".join(troubles))
     state, twins = _begin(measured, approximate, held)
     problem, state = _adjusted(problem, state)
+    if disagreeing := _disagreeing(measured, problem):
+        raise UndeterminedError("the pictures don't determine where cameras are: " + "; ".join(disagreeing))
     if on_line := _on_one_line(measured, problem, state):
         raise UndeterminedError(
             f"camera {', '.join(on_line)} sees all markers on one line, about which it could turn: move all joints"
@@ -175,11 +177,6 @@ def doubts(found: Extrinsics, problem: Problem, state: State) -> list[str]:
             troubles.append(
                 f"camera {camera.name}: centres are {camera.rms_px:.2f} px from where they should be, at most "
                 f"{MOST_RMS_PX:g} is right: its intrinsics, the description of the arm or the angles are wrong"
-            )
-        if camera.left_out > MOST_LEFT_OUT * (camera.used + camera.left_out):
-            troubles.append(
-                f"camera {camera.name}: {camera.left_out} of {camera.used + camera.left_out} centres agree with no "
-                "pose: check the markers' colours (`armsight calibrate colours`), intrinsics and angles"
             )
         if not camera.position_sigma_m <= MOST_POSITION_SIGMA * distance:
             troubles.append(
@@ -238,14 +235,31 @@ def _too_little(measured: Measured, problem: Problem) -> list[str]:
     return troubles
 
 
+def _disagreeing(measured: Measured, problem: Problem) -> list[str]:
+    """Cameras too many of whose centres are outliers: what is left would tell a pose by chance."""
+    troubles = []
+    for index, name in enumerate(measured.names):
+        own = problem.weight[problem.camera == index]
+        left_out = int((own == 0).sum())
+        if left_out > MOST_LEFT_OUT * len(own):
+            pose = "with the pose that is held" if index in problem.held else "with any pose"
+            troubles.append(
+                f"camera {name}: {left_out} of {len(own)} centres don't agree {pose}: check the markers' colours "
+                "(`armsight calibrate colours`), intrinsics and angles"
+            )
+    return troubles
+
+
 def _on_one_line(measured: Measured, problem: Problem, state: State) -> list[str]:
     points, _ = problem.arm.centres(state.angles)
     found = []
     for index, name in enumerate(measured.names):
         used = (problem.camera == index) & (problem.weight > 0)
+        if index in problem.held:
+            continue
         seen = points[problem.pose[used], problem.marker[used]]
         spread = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
-        if index not in problem.held and spread[1] < LEAST_SPREAD * spread[0]:
+        if spread[1] < LEAST_SPREAD * spread[0]:
             found.append(name)
     return found
 

@@ -1,7 +1,7 @@
 """Pictures of the arm by several cameras at the same instants: which there are, and which of them to measure."""
 
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -12,14 +12,19 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from armsight import topics
 from armsight.calibration import KnownCamera
 from armsight.errors import ConfigError
+from armsight.pictures import pictures_in
 from armsight.times import NS_PER_S
 from armsight.v1.description_pb2 import ArmDescription
-from armsight_operator.calibrate.frames import Picture, decoded, pictures_in, read_picture
+from armsight_operator.calibrate.frames import Picture, decoded, read_picture
 from armsight_operator.calibrate.lens import Array
 from armsight_operator.recording.reader import Recording
 
 STANDS_S = 0.3
 """An accepted setpoint that is this old is where the arm is."""
+
+
+Joints = Mapping[str, float]
+"""Angles in radians by name."""
 
 
 class Angles(StrEnum):
@@ -36,7 +41,7 @@ class Instant:
 
     key: int | str
     """Capture time in nanoseconds, or the pictures' name."""
-    joints: Mapping[str, float] | None
+    joints: Joints | None
     """Angles in radians; none where they are not known."""
 
 
@@ -110,7 +115,7 @@ def _in_recording(source: Path, angles: Angles, most: int) -> Footage:
     description: ArmDescription | None = None
     cameras: dict[str, KnownCamera] = {}
     seen: dict[int, set[str]] = {}
-    told: dict[int, dict[str, float]] = {}
+    told: dict[int, Joints] = {}
     topic = topics.JOINTS_TRUE if angles is Angles.TRUE else topics.JOINTS_ACCEPTED
     recording = Recording(source)
     latched = (topics.DESCRIPTION, topics.CAMERA_CALIBRATION, topics.CAMERA_POSE, topic)
@@ -133,10 +138,12 @@ def _in_recording(source: Path, angles: Angles, most: int) -> Footage:
     if not seen:
         raise ConfigError(f"{source} has no pictures: record camera/*/image, camera/*/calibration and camera/*/pose")
     whole = sorted(stamp for stamp, who in seen.items() if len(who) == len(names))
+    if not whole:
+        raise ConfigError(f"{source} has no instant with pictures of all cameras: {', '.join(names)}")
     if angles is Angles.UNKNOWN:
         instants = [Instant(whole[index], None) for index in _evenly(len(whole), most)]
         return Footage(source, names, tuple(instants), len(whole), description, cameras)
-    poses = [(stamp, joints) for stamp in whole if (joints := _at(told, stamp, angles)) is not None]
+    poses = _at(told, whole, angles)
     if not poses:
         raise ConfigError(
             f"{source} has no instant with pictures of all cameras and {topic.key}"
@@ -148,17 +155,21 @@ def _in_recording(source: Path, angles: Angles, most: int) -> Footage:
     return Footage(source, names, tuple(instants), len(poses), description, cameras)
 
 
-def _angles_of(message: JointStates) -> dict[str, float]:
+def _angles_of(message: JointStates) -> Joints:
     return {joint.name: joint.position for joint in message.joints}
 
 
-def _at(told: Mapping[int, dict[str, float]], stamp: int, angles: Angles) -> dict[str, float] | None:
+def _at(told: Mapping[int, Joints], stamps: Sequence[int], angles: Angles) -> list[tuple[int, Joints]]:
+    """Those of these instants at which the angles are known, with them."""
     if angles is Angles.TRUE:
-        return told.get(stamp)
+        return [(stamp, told[stamp]) for stamp in stamps if stamp in told]
     # what sim and arms accept is published when it changes: the last one before holds, and must have held for a while
-    times = sorted(told)
-    last = bisect_right(times, stamp) - 1
-    return told[times[last]] if last >= 0 and stamp - times[last] >= STANDS_S * NS_PER_S else None
+    times, found = sorted(told), []
+    for stamp in stamps:
+        last = bisect_right(times, stamp) - 1
+        if last >= 0 and stamp - times[last] >= STANDS_S * NS_PER_S:
+            found.append((stamp, told[times[last]]))
+    return found
 
 
 def _evenly(count: int, most: int) -> list[int]:

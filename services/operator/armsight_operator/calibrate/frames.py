@@ -13,13 +13,12 @@ from PIL import Image, UnidentifiedImageError
 
 from armsight import topics
 from armsight.errors import ConfigError
+from armsight.pictures import SUFFIXES, pictures_in
 from armsight_operator.picture.draw import picture_of
 from armsight_operator.recording.reader import Entry, Recording
 
 Picture = npt.NDArray[np.uint8]
 """Rows x columns x 3: red, green, blue."""
-
-SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +62,6 @@ def read_picture(path: Path) -> Picture:
             return np.asarray(image.convert("RGB"))
     except (OSError, UnidentifiedImageError) as error:
         raise ConfigError(f"{path} can't be read as a picture: {error}") from error
-
-
-def pictures_in(folder: Path) -> list[Path]:
-    """Pictures in a folder, by name."""
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
 
 
 def decoded(entry: Entry) -> Picture:

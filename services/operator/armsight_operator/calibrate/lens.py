@@ -4,18 +4,15 @@ Pixels by OpenCV's convention: integer values are pixel centres. Points in the o
 z forward.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
-from armsight.errors import ConfigError
+from armsight.calibration import PLUMB_BOB, checked_lens, optical_frame
 
 Array = npt.NDArray[np.float64]
-
-MODEL = "plumb_bob"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +41,7 @@ def lens_of(calibration: CameraCalibration, camera: str) -> Lens:
     Raises:
         ConfigError: it is of another model, or its numbers can't be a lens.
     """
-    numbers = [*calibration.K, *calibration.D]
-    if calibration.distortion_model != MODEL or len(calibration.K) != 9 or len(calibration.D) > 5:
-        raise ConfigError(f"the calibration of camera {camera} is none of a {MODEL} lens with K and at most 5 of D")
-    if not all(map(math.isfinite, numbers)) or min(calibration.K[0], calibration.K[4]) <= 0 or not calibration.width:
-        raise ConfigError(f"the calibration of camera {camera} has a focal length or size that is not above 0")
+    calibration = checked_lens(calibration, camera)
     distortion = np.zeros(5)
     distortion[: len(calibration.D)] = calibration.D
     focal, centre = np.array([calibration.K[0], calibration.K[4]]), np.array([calibration.K[2], calibration.K[5]])
@@ -62,17 +55,12 @@ def message_of(lens: Lens, camera: str) -> CameraCalibration:
         frame_id=optical_frame(camera),
         width=lens.width,
         height=lens.height,
-        distortion_model=MODEL,
+        distortion_model=PLUMB_BOB,
         D=list(map(float, lens.distortion)),
         K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
         R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
         P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
     )
-
-
-def optical_frame(camera: str) -> str:
-    """Name of a camera's optical frame, as sim names it."""
-    return f"camera_{camera}_optical"
 
 
 def distort(flat: Array, distortion: Array) -> tuple[Array, Array]:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
-from armsight.errors import ConfigError
-from armsight_operator.calibrate.lens import Array, optical_frame
+from armsight.calibration import checked_pose, optical_frame
+from armsight_operator.calibrate.lens import Array
 from armsight_operator.rotations import of_matrix
 
 
@@ -65,13 +65,12 @@ def pose_of(message: FrameTransform, camera: str) -> CameraPose:
     """The pose that a message tells.
 
     Raises:
-        ConfigError: its rotation is none.
+        ConfigError: it is none, or not in the world.
     """
+    message = checked_pose(message, camera)
     q = np.array([message.rotation.w, message.rotation.x, message.rotation.y, message.rotation.z])
     t = np.array([message.translation.x, message.translation.y, message.translation.z])
     norm = float(np.linalg.norm(q))
-    if not (np.isfinite(q).all() and np.isfinite(t).all() and abs(norm - 1) < 1e-3):
-        raise ConfigError(f"the pose of camera {camera} is none: its rotation is no unit quaternion")
     w, v = q[0] / norm, q[1:] / norm
     k = cross_matrix(v)
     return CameraPose(np.eye(3) + 2 * w * k + 2 * k @ k, t)

@@ -97,12 +97,17 @@ def intrinsics(
     """
     _need_opencv()
     from armsight.calibration import write_calibration_file
+    from armsight.topics import NAME
     from armsight_operator.calibrate import intrinsics as lenses
     from armsight_operator.calibrate.board import parse_board
     from armsight_operator.calibrate.frames import frames
     from armsight_operator.calibrate.lens import message_of
     from armsight_operator.calibrate.views import look
 
+    if not NAME.fullmatch(camera):
+        raise ConfigError(
+            f"--camera {camera!r} is no name on the bus: use letters, digits, '_', '-' and '.', at most 64"
+        )
     known = parse_board(board, square_m, marker_m, dictionary)
     content = _content(calibration)
     seen = look(known, frames(source, camera, every))
@@ -317,13 +322,14 @@ def _recoloured(arm: "ArmDescription", content: "CalibrationFile") -> "ArmDescri
 def _by_places(source: Path, camera: str, at: list[str]) -> "tuple[Frame, dict[str, Array], dict[str, Learnt]]":
     import re
 
+    from armsight.topics import NAME
     from armsight_operator.calibrate import colours as learning
     from armsight_operator.calibrate.frames import frames
 
     places: dict[str, tuple[int, int]] = {}
     for text in at:
-        match = re.fullmatch(r"([A-Za-z0-9_.-]{1,64})=(\d{1,5}),(\d{1,5})", text)
-        if match is None:
+        match = re.fullmatch(r"(.+)=(\d{1,5}),(\d{1,5})", text)
+        if match is None or not NAME.fullmatch(match[1]):
             raise ConfigError(f"--at {text!r} is no NAME=COLUMN,ROW")
         places[match[1]] = int(match[2]), int(match[3])
     frame = next(frames(source, camera))

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
+from armsight.calibration import optical_frame
 from armsight.times import to_timestamp
 from armsight_operator import rotations
 from armsight_operator.conformance.scene import Ball
@@ -67,7 +68,7 @@ class Camera:
     @property
     def frame_id(self) -> str:
         """Of the optical frame."""
-        return f"camera_{self.name}_optical"
+        return optical_frame(self.name)
 
     def calibration(self, stamp_ns: int) -> CameraCalibration:
         """As sim would publish it."""
