@@ -95,7 +95,9 @@ def health_showed(timeline: Timeline, service: str, begin_ns: int, end_ns: int) 
     known = before + within
     if len({each.instance for each in known}) > 1 or any(each.status != HEALTH_STATUS_OK for each in within):
         return True
-    times = [*(each.log_ns for each in known), end_ns]
+    # a pause ends with the next word, also where that comes later
+    next_ns = next((each.log_ns for each in said if each.log_ns > end_ns), end_ns)
+    times = [*(each.log_ns for each in known), next_ns]
     return not known or any(later - earlier > _SILENCE_NS for earlier, later in pairwise(times))
 
 
