@@ -35,7 +35,8 @@ def page(before: str, results: list[dict[str, Any]]) -> str:
     """The page with its last section made anew."""
     head = before.partition(BEGIN)[0]
     return (
-        f"{head}{BEGIN}\nMade by `tools/recovery_table.py` from `bench/results/recovery.json`, on two cores that had other work, too. "
+        f"{head}{BEGIN}\nMade by `tools/recovery_table.py` from `bench/results/recovery.json`, on two "
+        "cores that had other work, too. "
         "Start-up is from the start of the process to its word that it is well (of the router: until it listens);"
         "\nwhat comes after is counted from there, and from SIGCONT where a process stood still. "
         f"0.00 where the arm moved before that word was heard.\n\n{table(results)}"
