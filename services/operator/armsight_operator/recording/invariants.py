@@ -272,7 +272,9 @@ def _deaf(timeline: Timeline, life: Life) -> list[tuple[int, int]]:
         if after.number > before.number + 1
     ]
     if life.frames and life.frames[0].number > 1:
-        found.append((life.begin_ns, life.frames[0].instant_ns + _RECONNECT_NS))
+        # the recording begins in the middle of it: what moves the arm then was commanded before
+        first_ns = life.frames[0].instant_ns
+        found.append((first_ns - 2 * life.period_ns, first_ns + _RECONNECT_NS))
     heard = [frame.log_ns for frame in life.frames]
     for begin_ns, end_ns in timeline.deaf_ns:
         first, last = bisect_left(heard, begin_ns), bisect_right(heard, end_ns)
