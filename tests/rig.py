@@ -222,6 +222,13 @@ class Rig:
             return False
         return max(abs(joint.velocity) for joint in latest.message.joints) > _MOVING_RAD_S
 
+    def moved_since(self, wall_ns: int) -> bool:
+        """Whether the arm moves, and that was heard after a time of the wall clock."""
+        assert self._truth is not None
+        latest = self._truth.latest
+        age_s = (time.time_ns() - wall_ns) / NS_PER_S
+        return latest is not None and time.monotonic() - latest.received_s < age_s and self.moving()
+
     def control_state(self) -> str:
         _ = self.bus
         assert self._status is not None

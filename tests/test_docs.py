@@ -7,8 +7,10 @@ What differs from what the reader types stands in the tables at the top, and now
 import ast
 import contextlib
 import io
+import json
 import os
 import re
+import runpy
 import shlex
 import signal
 import subprocess
@@ -322,6 +324,12 @@ def test_prometheus_is_told_where_metrics_are_served() -> None:
     (job,) = yaml.safe_load(block.text)["scrape_configs"]
     default = next(p.default for p in dict(every_command())["metrics",].params if "--port" in p.opts)
     assert job["static_configs"] == [{"targets": [f"127.0.0.1:{default}"]}]
+
+
+def test_table_of_recoveries_is_what_was_measured() -> None:
+    tool = runpy.run_path(str(ROOT / "tools/recovery_table.py"))
+    text = tool["PAGE"].read_text(encoding="utf-8")
+    assert tool["page"](text, json.loads(tool["RESULTS"].read_text(encoding="utf-8"))) == text
 
 
 def test_the_table_names_commands_of_the_pages_and_tests_that_there_are() -> None:

@@ -1,4 +1,4 @@
-"""`armsight recording info | recover`: what is in a file, and making one whole that nobody finished."""
+"""`armsight recording info | recover | check`: what is in a file, whether it is whole, what the arm did in it."""
 
 import json
 import sys
@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from armsight_operator.recording.info import Info
 
 app = typer.Typer(
-    help="Look into recordings, and recover unfinished ones.", no_args_is_help=True, rich_markup_mode=None
+    help="Look into recordings, recover unfinished ones, check the motion in them.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
 )
 
 Files = Annotated[list[Path], typer.Argument(help="MCAP files of one recording.")]
@@ -57,6 +59,26 @@ def recover(
     for path, trouble in recording.troubles.items():
         print(f"{path}: {trouble}")
     print(f"{count} messages written to {out}")
+
+
+@app.command()
+def check(files: Files) -> None:
+    """Hold the motion in a recording against what armsight guarantees. Exit code 1 where it does not, each time told.
+
+    Example: armsight recording check run.mcap
+    """
+    from armsight_operator.recording import invariants
+    from armsight_operator.recording.reader import Recording
+    from armsight_operator.recording.timeline import WANTED, timeline_of
+
+    found = invariants.check(timeline_of(Recording(*files).messages(WANTED)))
+    for violation in found.violations:
+        print(violation)
+    resets = f", {found.resets} resets" if found.resets else ""
+    deaf = f", {found.deaf_s:.1f} s of which commands may be missing" if found.deaf_s else ""
+    print(f"{len(found.violations)} violations in {found.instants} instants of {found.lives} runs of sim{resets}{deaf}")
+    if found.violations:
+        raise typer.Exit(1)
 
 
 def _print(info: "Info") -> None:
