@@ -233,7 +233,7 @@ def colours(
     for name, colour in found.items():
         hue, saturation = learning.hue_and_saturation(colour)
         channels = ", ".join(f"{part:.3f}" for part in colour)
-        print(f"{name}: {channels}; hue {_degrees(float(hue)) % 360:.0f}°, saturation {float(saturation):.2f}")
+        print(f"{name}: {channels}; hue {round(_degrees(float(hue))) % 360}°, saturation {float(saturation):.2f}")
     written = {name: Color(red=c[0], green=c[1], blue=c[2]) for name, c in found.items()}
     content = replace(content, colours={**content.colours, **written})
     arm = content.description and _recoloured(content.description, content)
