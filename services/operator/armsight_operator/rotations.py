@@ -3,6 +3,9 @@
 import math
 from collections.abc import Sequence
 
+import numpy as np
+import numpy.typing as npt
+
 Wxyz = tuple[float, float, float, float]
 
 
@@ -40,3 +43,15 @@ def of_matrix(rotation: Sequence[Sequence[float]]) -> Wxyz:
     norm = math.hypot(*row)
     w, x, y, z = (value / norm for value in row)
     return w, x, y, z
+
+
+def to_matrix(q: Wxyz) -> npt.NDArray[np.float64]:
+    """The 3 x 3 rotation matrix of a unit quaternion."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

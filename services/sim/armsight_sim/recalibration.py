@@ -10,6 +10,7 @@ from armsight.calibration import CalibrationFile, KnownCamera, checked_lens, che
 from armsight.errors import ConfigError
 from armsight.v1.description_pb2 import ArmDescription
 from armsight_sim import description
+from armsight_sim.anatomy import balls
 from armsight_sim.cameras import picture_size
 from armsight_sim.settings import Settings
 
@@ -70,7 +71,7 @@ def recalibration_of(settings: Settings, model: mujoco.MjModel) -> CalibrationFi
     if not settings.external_cameras:
         names = description.camera_names(model)
         sizes = {name: picture_size(model, name, settings.width, settings.height) for name in names}
-    markers = frozenset(marker.name for marker in description.describe_arm(model).markers)
+    markers = frozenset(ball.name for ball in balls(model))
     return read_recalibration(settings.calibration, sizes, markers)
 
 

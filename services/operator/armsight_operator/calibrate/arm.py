@@ -8,7 +8,7 @@ import numpy as np
 from armsight.errors import ConfigError
 from armsight.v1.description_pb2 import ArmDescription
 from armsight_operator.calibrate.lens import Array
-from armsight_operator.calibrate.rigid import cross_matrix
+from armsight_operator.calibrate.rigid import turns
 from armsight_operator.report.chain import Arm, arm_of
 
 
@@ -46,7 +46,7 @@ class MarkedArm:
         for index in range(joints):
             moved = moved + np.einsum("kij,j->ki", turned, self.arm.origins[index])
             axes.append(np.einsum("kij,j->ki", turned, self.arm.axes[index]))
-            turned = turned @ _turns(self.arm.axes[index], q[:, index])
+            turned = turned @ turns(self.arm.axes[index], q[:, index])
             rotations.append(turned)
             places.append(moved)
         points = np.zeros((count, len(self.markers), 3))
@@ -75,9 +75,3 @@ def marked_arm(description: ArmDescription) -> MarkedArm:
     """The arm that a description tells."""
     arm = arm_of(description)
     return MarkedArm(arm, tuple(arm.markers))
-
-
-def _turns(axis: Array, angles: Array) -> Array:
-    k = cross_matrix(axis)
-    sin, cos = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
-    return np.asarray(np.eye(3) + sin * k + (1 - cos) * (k @ k))

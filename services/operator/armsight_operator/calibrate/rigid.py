@@ -1,13 +1,15 @@
 """Rotations and poses of rigid bodies, in NumPy. A pose ``T_a_b`` maps points of frame b into frame a: R p + t."""
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
 from armsight.calibration import checked_pose, optical_frame
 from armsight_operator.calibrate.lens import Array
-from armsight_operator.rotations import of_matrix
+from armsight_operator.rotations import of_matrix, to_matrix
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +40,16 @@ def cross_matrix(vector: Array) -> Array:
 
 
 def turn(vector: Array) -> Array:
-    """The rotation by a vector's length about its direction (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.asarray(np.eye(3) + cross_matrix(vector))
-    k = cross_matrix(vector / angle)
-    return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k)
+    """The rotation by a vector's length about its direction."""
+    angle = np.linalg.norm(vector)
+    return turns(vector / angle, angle) if angle >= 1e-12 else np.asarray(np.eye(3) + cross_matrix(vector))
+
+
+def turns(axis: Array, angles: Array | np.floating[Any]) -> Array:
+    """Rotations about a unit vector, (..., 3, 3), by angles (...,) in radians (Rodrigues)."""
+    k = cross_matrix(axis)
+    sin, cos = np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
+    return np.asarray(np.eye(3) + sin * k + (1 - cos) * (k @ k))
 
 
 def aligned(points: Array, world: Array, weights: Array) -> CameraPose:
@@ -68,12 +74,9 @@ def pose_of(message: FrameTransform, camera: str) -> CameraPose:
         ConfigError: it is none, or not in the world.
     """
     message = checked_pose(message, camera)
-    q = np.array([message.rotation.w, message.rotation.x, message.rotation.y, message.rotation.z])
-    t = np.array([message.translation.x, message.translation.y, message.translation.z])
-    norm = float(np.linalg.norm(q))
-    w, v = q[0] / norm, q[1:] / norm
-    k = cross_matrix(v)
-    return CameraPose(np.eye(3) + 2 * w * k + 2 * k @ k, t)
+    q, t = message.rotation, message.translation
+    norm = math.hypot(q.w, q.x, q.y, q.z)
+    return CameraPose(to_matrix((q.w / norm, q.x / norm, q.y / norm, q.z / norm)), np.array([t.x, t.y, t.z]))
 
 
 def message_of_pose(pose: CameraPose, camera: str) -> FrameTransform:

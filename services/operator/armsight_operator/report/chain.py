@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from armsight.v1.description_pb2 import ArmDescription, Attachment
-from armsight.v1.geometry_pb2 import Quaternion, Vector3
+from armsight.v1.geometry_pb2 import Vector3
+from armsight_operator.rotations import to_matrix
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -87,7 +88,8 @@ def arm_of(description: ArmDescription) -> Arm:
         joint = names.index(attachment.joint) if attachment.joint else -1
         return joint, _array(attachment.position)
 
-    rotation = _matrix(description.world_from_base.rotation)
+    turned = description.world_from_base.rotation
+    rotation = to_matrix((turned.w, turned.x, turned.y, turned.z))
     return Arm(
         names=names,
         origins=np.array([_array(joint.origin) for joint in description.joints]),
@@ -120,14 +122,3 @@ def _turned(axis: Array, angle: float, point: Array) -> Array:
 
 def _array(vector: Vector3) -> Array:
     return np.array([vector.x, vector.y, vector.z])
-
-
-def _matrix(q: Quaternion) -> Array:
-    w, x, y, z = q.w, q.x, q.y, q.z
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
