@@ -147,6 +147,16 @@ def checked_pose(message: FrameTransform, camera: str) -> FrameTransform:
     raise ConfigError(f"the pose of camera {camera} {wrong}: `armsight calibrate extrinsics` makes it anew")
 
 
+def recoloured(arm: ArmDescription, content: CalibrationFile) -> ArmDescription:
+    """The description with the file's colours for its markers."""
+    result = ArmDescription()
+    result.CopyFrom(arm)
+    for marker in result.markers:
+        if marker.name in content.colours:
+            marker.color.CopyFrom(content.colours[marker.name])
+    return result
+
+
 def _parsed(content: object) -> CalibrationFile:
     whole = _object(content, "the file")
     _known(whole, _PARTS, "the file")

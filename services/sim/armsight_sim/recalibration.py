@@ -8,7 +8,6 @@ import mujoco
 
 from armsight.calibration import CalibrationFile, KnownCamera, checked_lens, checked_pose, read_calibration_file
 from armsight.errors import ConfigError
-from armsight.v1.description_pb2 import ArmDescription
 from armsight_sim import description
 from armsight_sim.anatomy import balls
 from armsight_sim.cameras import picture_size
@@ -73,13 +72,3 @@ def recalibration_of(settings: Settings, model: mujoco.MjModel) -> CalibrationFi
         sizes = {name: picture_size(model, name, settings.width, settings.height) for name in names}
     markers = frozenset(ball.name for ball in balls(model))
     return read_recalibration(settings.calibration, sizes, markers)
-
-
-def recoloured(arm: ArmDescription, content: CalibrationFile) -> ArmDescription:
-    """The description with the file's colours for its markers."""
-    result = ArmDescription()
-    result.CopyFrom(arm)
-    for marker in result.markers:
-        if marker.name in content.colours:
-            marker.color.CopyFrom(content.colours[marker.name])
-    return result

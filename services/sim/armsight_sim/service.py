@@ -16,7 +16,7 @@ from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 
 from armsight import topics
 from armsight.bus import Received
-from armsight.calibration import KnownCamera, optical_frame
+from armsight.calibration import KnownCamera, optical_frame, recoloured
 from armsight.images import encode_rgb8
 from armsight.parameters import Value
 from armsight.schema import descriptor_set
@@ -33,7 +33,7 @@ from armsight_sim.clock import ClockMode, Instants, Lockstep, Pacer
 from armsight_sim.commands import Verdict
 from armsight_sim.errors import SimError
 from armsight_sim.motion import Motion
-from armsight_sim.recalibration import recalibration_of, recoloured
+from armsight_sim.recalibration import recalibration_of
 from armsight_sim.settings import Settings
 from armsight_sim.stop import StopRequestError, StopSources
 from armsight_sim.targets import NONE, TARGETS, VISIBLE, visible_box, visible_sphere

@@ -9,11 +9,11 @@ import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
-from armsight.calibration import CalibrationFile, KnownCamera, write_calibration_file
+from armsight.calibration import CalibrationFile, KnownCamera, recoloured, write_calibration_file
 from armsight.errors import ConfigError
 from armsight.v1.description_pb2 import Color
 from armsight_sim import description
-from armsight_sim.recalibration import read_recalibration, recoloured
+from armsight_sim.recalibration import read_recalibration
 from armsight_sim.world import load_model
 
 SIZES = {"1": (800, 800), "2": (800, 800)}

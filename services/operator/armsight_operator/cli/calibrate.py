@@ -208,7 +208,7 @@ def colours(
     Example: armsight calibrate colours poses.mcap --camera 1 --known-order
     """
     _need_opencv()
-    from armsight.calibration import write_calibration_file
+    from armsight.calibration import recoloured, write_calibration_file
     from armsight.v1.description_pb2 import Color
     from armsight_operator.calibrate import colours as learning
     from armsight_operator.calibrate import show
@@ -236,7 +236,8 @@ def colours(
         print(f"{name}: {channels}; hue {round(_degrees(float(hue))) % 360}°, saturation {float(saturation):.2f}")
     written = {name: Color(red=c[0], green=c[1], blue=c[2]) for name, c in found.items()}
     content = replace(content, colours={**content.colours, **written})
-    arm = content.description and _recoloured(content.description, content)
+    # twice in the file: vision on files goes by the description alone
+    arm = content.description and recoloured(content.description, content)
     write_calibration_file(calibration, replace(content, description=arm))
     print(f"written to {calibration}")
 
@@ -297,26 +298,14 @@ def _approximate(content: "CalibrationFile", footage: "Footage") -> "dict[str, C
 
 def _description(path: Path | None, content: "CalibrationFile", footage: "Footage") -> "ArmDescription":
     """With the file's colours, where it has any."""
-    from armsight.calibration import read_calibration_file
+    from armsight.calibration import read_calibration_file, recoloured
 
     found = read_calibration_file(path).description if path is not None else footage.description or content.description
     if found is None:
         raise ConfigError(
             f"{path or 'neither the recording nor the file'} has no description of the arm: give --description"
         )
-    return _recoloured(found, content)
-
-
-def _recoloured(arm: "ArmDescription", content: "CalibrationFile") -> "ArmDescription":
-    """The arm with the file's colours: vision on files goes by the description alone."""
-    from armsight.v1.description_pb2 import ArmDescription
-
-    result = ArmDescription()
-    result.CopyFrom(arm)
-    for marker in result.markers:
-        if marker.name in content.colours:
-            marker.color.CopyFrom(content.colours[marker.name])
-    return result
+    return recoloured(found, content)
 
 
 def _by_places(source: Path, camera: str, at: list[str]) -> "tuple[Frame, dict[str, Array], dict[str, Learnt]]":
