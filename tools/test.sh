@@ -48,7 +48,7 @@ if docker info >/dev/null 2>&1 || [ -n "${ARMSIGHT_CI:-}" ]; then
 else
     echo "test: left out what needs a Docker daemon (tests marked docker): none is reachable here"
 fi
-beside untimed nice -n 15 "$bin/pytest" -q -m "untimed and not long" tests
+beside untimed nice -n 15 "$bin/pytest" -q --timeout 1800 -m "untimed and not long" tests # others come first
 check "zenoh bridge (Rust)" cargo test --quiet --release --manifest-path services/vision_cpp/zenoh_bridge/Cargo.toml \
     --target-dir build/vision/cargo
 check "vision (C++)" ctest --test-dir build/vision --output-on-failure

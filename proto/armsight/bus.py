@@ -27,6 +27,9 @@ M = TypeVar("M", bound=Message)
 Request = TypeVar("Request", bound=Message)
 Response = TypeVar("Response", bound=Message)
 
+LATCHED_HEARTBEAT_S = 1.0
+"""How often the publisher of a latched value says how many it has put."""
+
 _MAX_QUERY_BYTES = 1 << 20
 
 
@@ -256,11 +259,14 @@ class Bus:
                 key,
                 encoding=encoding,
                 priority=priority,
-                # one frozen reader must not stall the arm: what it misses it asks the cache for
+                # one frozen reader must not stall the arm: what it misses it asks the cache for, as soon as it hears
+                # how far the publisher is; so does who asked once, and whose answer was lost
                 congestion_control=zenoh.CongestionControl.DROP,
                 cache=zenoh.ext.CacheConfig(max_samples=1),
                 publisher_detection=True,
-                sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),
+                sample_miss_detection=zenoh.ext.MissDetectionConfig(
+                    heartbeat=None if topic.renewed else LATCHED_HEARTBEAT_S, sporadic_heartbeat=None
+                ),
             )
             self._latched.append(latched)
             return Publisher(latched)
@@ -405,7 +411,8 @@ class Bus:
         if topic.delivery != "latched":
             return self.session.declare_subscriber(key, channel)
         history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
-        return zenoh.ext.declare_advanced_subscriber(self.session, key, channel, history=history)
+        recovery = None if topic.renewed else zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
+        return zenoh.ext.declare_advanced_subscriber(self.session, key, channel, history=history, recovery=recovery)
 
     def _answer(self, query: Query[Request, Response], handler: Callable[[Request], Response], asked: Any) -> None:
         payload = asked.payload.to_bytes() if asked.payload is not None else b""

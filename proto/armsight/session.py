@@ -30,6 +30,9 @@ _SHARED_MEMORY_THRESHOLD_BYTES = 65536
 # Zenoh's own: under load the loss of frames at 30 Hz falls from a tenth to nothing.
 _DATA_LOW_QUEUE = 16
 
+_LATCHED_PATIENCE_MS = 1500
+"""How long a lost answer keeps a reader of a latched value from asking again; our own queries say theirs."""
+
 _RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
 
 _HINT_AFTER_ATTEMPTS = 4
@@ -201,6 +204,7 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
     put("scouting/multicast/enabled", False)
     put("scouting/gossip/enabled", False)
     put("transport/link/tx/queue/size/data_low", _DATA_LOW_QUEUE)
+    put("queries_default_timeout", _LATCHED_PATIENCE_MS)
     if config.mode == "router":
         put("listen/endpoints", list(config.endpoints))
         put("connect/endpoints", list(config.links))

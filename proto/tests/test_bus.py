@@ -1,7 +1,11 @@
 import gc
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +20,7 @@ from armsight.images import encode_rgb8
 from armsight.session import SessionConfig, open_session
 from armsight.times import from_timestamp
 from armsight.v1.control_pb2 import CONTROL_MODE_HOLD, SetModeRequest, SetModeResponse
+from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.joints_pb2 import JointPositions
 from armsight.v1.safety_pb2 import StopState
 
@@ -110,6 +115,30 @@ def test_latched_value_of_a_publisher_that_comes_later_arrives(two_buses: Buses)
         received = subscriber.recv(2.0)
         assert received is not None
         assert received.message.stopped == stopped
+
+
+def test_last_of_many_latched_values_reaches_who_stood_still_meanwhile(endpoint: str, two_buses: Buses) -> None:
+    publisher = two_buses[0].publisher(topics.DESCRIPTION)
+    publisher.put(ArmDescription(name="first"))
+    command = [sys.executable, str(Path(__file__).with_name("latched_reader.py")), endpoint]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        heard: list[str] = []
+        assert process.stdout is not None
+        reading = threading.Thread(target=lambda lines: heard.extend(map(str.strip, lines)), args=[process.stdout])
+        reading.start()
+        try:
+            assert eventually(lambda: heard == ["first"], 20)
+            process.send_signal(signal.SIGSTOP)
+            # more than the buffers on the way hold: what comes last is thrown away
+            for _ in range(400):
+                publisher.put(ArmDescription(name="later".ljust(60_000)))
+            publisher.put(ArmDescription(name="last".ljust(60_000)))
+            time.sleep(0.5)
+            process.send_signal(signal.SIGCONT)
+            assert eventually(lambda: "last" in heard, 10), f"heard {len(heard)}, the last {heard[-1]}"
+        finally:
+            process.kill()
+            reading.join()
 
 
 def test_subscriber_keeps_the_newest_and_counts_what_it_lost(two_buses: Buses) -> None:

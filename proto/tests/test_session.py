@@ -170,6 +170,15 @@ def run_probe(endpoint: str) -> "subprocess.Popen[str]":
     return subprocess.Popen([sys.executable, "-c", SERVICE], env=environment, stdout=subprocess.PIPE, text=True)
 
 
+def wait_until_caught(process: "subprocess.Popen[str]", number: int) -> None:
+    """Until the process has a handler of its own for a signal."""
+    deadline = time.monotonic() + 30
+    status = Path(f"/proc/{process.pid}/status")
+    while not int(status.read_text().partition("SigCgt:")[2].split()[0], 16) >> (number - 1) & 1:
+        assert time.monotonic() < deadline, "the service has not begun"
+        time.sleep(0.02)
+
+
 def test_service_started_before_the_router_joins_when_it_comes(endpoint: str) -> None:
     process = run_probe(endpoint)
     assert process.stdout is not None
@@ -192,7 +201,8 @@ def test_service_started_before_the_router_joins_when_it_comes(endpoint: str) ->
 def test_sigterm_ends_a_service_that_still_waits_for_the_router(endpoint: str) -> None:
     process = run_probe(endpoint)
     try:
-        time.sleep(1.0)
+        wait_until_caught(process, signal.SIGTERM)
+        time.sleep(0.5)
         process.send_signal(signal.SIGTERM)
         assert process.wait(2.0) == 0
     finally:

@@ -389,9 +389,11 @@ def test_configuration_grants_what_the_table_grants_and_denies_the_rest() -> Non
     }
     puts = {(role, key) for role, flow, message, key in granted if (flow, message) == ("ingress", "put")}
     assert puts == {
-        (role, f"{DEFAULT_NAMESPACE}/{topic.key.replace('{name}', own_name(role, topic.publishers))}")
+        (role, f"{DEFAULT_NAMESPACE}/{topic.key.replace('{name}', own_name(role, topic.publishers))}{heartbeat}")
         for topic in TOPICS
         for role in names(topic.publishers)
+        for heartbeat in ("", "/@adv/pub/**")
+        if not heartbeat or (topic.delivery == "latched" and not topic.renewed)
     }
     asks = {
         (role, key)

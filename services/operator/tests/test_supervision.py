@@ -23,6 +23,13 @@ def until_running(stack: Stack, supervisor: Supervisor, name: str) -> None:
         time.sleep(0.005)
 
 
+def wait_until_it_speaks(stack: Stack, name: str) -> None:
+    deadline = time.monotonic() + 20.0
+    while not stack.log_file(name).read_bytes():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
 def test_a_killed_service_is_reported_once_and_started_again(stack: Stack) -> None:
     supervisor = Supervisor(stack, backoff=Backoff(first_s=0.05))
     stack.start_all()
@@ -75,6 +82,7 @@ def test_without_restart_the_dead_stay_down(stack: Stack) -> None:
 def test_an_executable_that_vanished_is_waited_for(stack: Stack, fake: Callable[..., Path]) -> None:
     supervisor = Supervisor(stack, backoff=Backoff(first_s=0.02, longest_s=0.02))
     stack.start("sim")
+    wait_until_it_speaks(stack, "sim")  # its interpreter has read it
     fake("sim").unlink()
     stack.kill("sim")
     deaths(supervisor, 1)

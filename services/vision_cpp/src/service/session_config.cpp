@@ -15,6 +15,9 @@ using nlohmann::json;
 // Zenoh's default of 2 loses a tenth of the frames at 30 Hz under load.
 constexpr int kDataLowQueue = 16;
 
+// How long a lost answer keeps a reader of a latched value from asking again.
+constexpr int kLatchedPatienceMs = 1500;
+
 // Files of TLS are named relative to the configuration, which so works wherever its folder is put. With one that is
 // missing Zenoh would try again for ever.
 void find_tls_files(zenoh::Config& config, const std::string& file) {
@@ -71,6 +74,7 @@ zenoh::Config session_config(const Settings& settings, bool shared_memory) {
         put("scouting/multicast/enabled", false);
         put("scouting/gossip/enabled", false);
         put("transport/link/tx/queue/size/data_low", kDataLowQueue);
+        put("queries_default_timeout", kLatchedPatienceMs);
         put("connect/endpoints", connect);
         put("connect/timeout_ms", 500);
         put("connect/exit_on_failure", true);

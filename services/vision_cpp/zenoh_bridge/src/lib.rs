@@ -13,12 +13,15 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::Wait;
 use zenoh_ext::{
     AdvancedPublisherBuilderExt, AdvancedSubscriberBuilderExt, CacheConfig, HistoryConfig,
-    MissDetectionConfig,
+    MissDetectionConfig, RecoveryConfig,
 };
 
 use log::init as init_log;
 
 type Outcome<T> = Result<T, Box<dyn Error + Send + Sync>>;
+
+/// How often the publisher of a latched value says how many it has put; the same as in proto/armsight/bus.py.
+const LATCHED_HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// Queries that wait to be answered; more are refused by Zenoh's flow control.
 const QUERY_QUEUE: usize = 64;
@@ -173,7 +176,9 @@ impl Session {
             PublisherKind::Latched(
                 builder
                     .cache(CacheConfig::default().max_samples(1))
-                    .sample_miss_detection(MissDetectionConfig::default())
+                    .sample_miss_detection(
+                        MissDetectionConfig::default().heartbeat(LATCHED_HEARTBEAT),
+                    )
                     .publisher_detection()
                     .wait()?,
             )
@@ -197,7 +202,9 @@ impl Session {
             let history = HistoryConfig::default()
                 .detect_late_publishers()
                 .max_samples(1);
-            SubscriberKind::Latched(builder.history(history).wait()?)
+            // what was dropped on its way, or whose answer was lost, is asked for again
+            let recovery = RecoveryConfig::default().heartbeat();
+            SubscriberKind::Latched(builder.history(history).recovery(recovery).wait()?)
         } else {
             SubscriberKind::Plain(builder.wait()?)
         };
