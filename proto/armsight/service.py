@@ -19,6 +19,7 @@ from armsight.counters import Counters
 from armsight.errors import ArmsightError, NoReplyError, SessionClosedError
 from armsight.logs import set_up_logging
 from armsight.parameters import Tunables
+from armsight.router_watch import router_watched
 from armsight.session import add_session_arguments, check_role, open_session, session_config
 from armsight.shared_memory import Use
 from armsight.times import to_timestamp, wall_ns
@@ -155,7 +156,7 @@ def run_service(
         session = open_session(config, stop)
         if session is None:
             return 0
-        with open_bus(session, Counters()) as bus:
+        with open_bus(session, Counters()) as bus, router_watched(bus):
             health = HealthReporter(name, bus)
             tunables = serve_parameters(name, bus, parameters)
             try:

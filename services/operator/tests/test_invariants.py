@@ -12,6 +12,7 @@ from google.protobuf.message import Message
 
 from armsight import topics
 from armsight.bus import Sample
+from armsight.router_watch import ROUTER_LOST
 from armsight.times import to_duration, to_timestamp
 from armsight.topics import Topic
 from armsight.v1.health_pb2 import HEALTH_STATUS_DEGRADED, HEALTH_STATUS_OK, Health, HealthStatus
@@ -272,6 +273,17 @@ def test_health_shows_a_fault_by_instance_status_or_pause(
     said(made, after[0], after[1], *after[2])
     begin_ns = START_NS + round(2.2 * S)
     assert health_showed(timeline_of(made.messages), "vision", begin_ns, START_NS + 5 * S) is shows
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_health_shows_that_the_router_was_lost(made: Made, lost: int) -> None:
+    made.move(ramp(3))
+    for at in range(6):
+        counters = {ROUTER_LOST: lost} if at > 3 else {}
+        message = Health(service="vision", instance="a", status=HEALTH_STATUS_OK, counters=counters)
+        made.add(topics.HEALTH, message, START_NS + at * S, "vision")
+    begin_ns = START_NS + round(2.2 * S)
+    assert health_showed(timeline_of(made.messages), "vision", begin_ns, begin_ns + S) is bool(lost)
 
 
 def test_a_recording_without_a_description_is_refused_in_one_sentence(made: Made) -> None:

@@ -87,7 +87,7 @@ def check(timeline: Timeline) -> Findings:
 def health_showed(timeline: Timeline, service: str, begin_ns: int, end_ns: int) -> bool:
     """Whether a service's health showed a fault between two times of the recorder's clock.
 
-    It does by another instance, by a status that is not OK, or by a pause.
+    It does by another instance, by a status that is not OK, by a pause, or by having lost its router.
     """
     said = timeline.health.get(service, [])
     before = [each for each in said if each.log_ns < begin_ns][-1:]
@@ -95,10 +95,14 @@ def health_showed(timeline: Timeline, service: str, begin_ns: int, end_ns: int) 
     known = before + within
     if len({each.instance for each in known}) > 1 or any(each.status != HEALTH_STATUS_OK for each in within):
         return True
-    # a pause ends with the next word, also where that comes later
-    next_ns = next((each.log_ns for each in said if each.log_ns > end_ns), end_ns)
-    times = [*(each.log_ns for each in known), next_ns]
-    return not known or any(later - earlier > _SILENCE_NS for earlier, later in pairwise(times))
+    # what happened at the end is in the next word, which also ends a pause
+    known += [each for each in said if each.log_ns > end_ns][:1]
+    times = [*(each.log_ns for each in known), end_ns]
+    return (
+        not known
+        or any(later - earlier > _SILENCE_NS for earlier, later in pairwise(times))
+        or known[-1].router_lost > known[0].router_lost
+    )
 
 
 def braking_ns(timeline: Timeline) -> int:

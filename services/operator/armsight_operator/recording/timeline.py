@@ -10,6 +10,7 @@ import numpy.typing as npt
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
 from armsight import topics
+from armsight.router_watch import ROUTER_LOST
 from armsight.times import NS_PER_S, from_duration, from_timestamp
 from armsight.topics import Topic
 from armsight.v1.description_pb2 import ArmDescription
@@ -95,6 +96,8 @@ class Said:
     log_ns: int
     instance: str
     status: int
+    router_lost: int
+    """How often this instance had lost its router by then."""
 
 
 @dataclass(slots=True)
@@ -205,7 +208,7 @@ def _take(found: Timeline, topic: Topic[Any], entry: Entry, message: Any) -> Non
     elif isinstance(message, StopState):
         found.stops.append(Stop(entry.log_ns, message.stopped))
     elif isinstance(message, Health):
-        said = Said(entry.log_ns, message.instance, message.status)
+        said = Said(entry.log_ns, message.instance, message.status, message.counters.get(ROUTER_LOST, 0))
         found.health.setdefault(message.service, []).append(said)
 
 

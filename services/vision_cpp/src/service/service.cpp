@@ -115,10 +115,12 @@ class Service {
     void answer(const Instant& instant);
     [[nodiscard]] bool has_listeners();
     void annotate_for_listeners(const Instant& instant, const std::vector<MarkerEstimate>& estimates);
+    void count_lost_routers();
     void report_health(SteadyTime now);
 
     const zenoh::Session& session_;
     Counters counters_;
+    std::uint64_t routers_lost_ = 0;
     Rig rig_;
     HealthReporter health_;
     zenoh::Publisher positions_;
@@ -316,7 +318,15 @@ void Service::annotate_for_listeners(const Instant& instant, const std::vector<M
     }
 }
 
+// The session reconnects silently.
+void Service::count_lost_routers() {
+    for (; routers_lost_ < session_.routers_lost(); ++routers_lost_) {
+        log_warning("lost the router: connecting again until it is there", {{"total", counters_.add("router_lost")}});
+    }
+}
+
 void Service::report_health(SteadyTime now) {
+    count_lost_routers();
     if (!problem_.empty()) {
         health_.report(v1::HEALTH_STATUS_WAITING, problem_);
         return;

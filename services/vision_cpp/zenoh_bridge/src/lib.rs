@@ -6,10 +6,14 @@
 mod log;
 
 use std::error::Error;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::Arc;
 use std::time::Duration;
 
+use zenoh::config::WhatAmI;
 use zenoh::handlers::{FifoChannel, FifoChannelHandler, RingChannel, RingChannelHandler};
 use zenoh::qos::{CongestionControl, Priority};
+use zenoh::sample::SampleKind;
 use zenoh::Wait;
 use zenoh_ext::{
     AdvancedPublisherBuilderExt, AdvancedSubscriberBuilderExt, CacheConfig, HistoryConfig,
@@ -54,6 +58,7 @@ mod ffi {
         fn init_log();
 
         fn close(self: &Session) -> Result<()>;
+        fn routers_lost(self: &Session) -> u64;
         fn declare_publisher(
             self: &Session,
             key: &str,
@@ -93,7 +98,10 @@ mod ffi {
     }
 }
 
-pub struct Session(zenoh::Session);
+pub struct Session {
+    inner: zenoh::Session,
+    routers_lost: Arc<AtomicU64>,
+}
 
 enum PublisherKind {
     Plain(zenoh::pubsub::Publisher<'static>),
@@ -130,7 +138,24 @@ pub struct Query {
 
 fn open(config_json5: &str) -> Outcome<Box<Session>> {
     let config = zenoh::Config::from_json5(config_json5)?;
-    Ok(Box::new(Session(zenoh::open(config).wait()?)))
+    let inner = zenoh::open(config).wait()?;
+    let routers_lost = Arc::new(AtomicU64::new(0));
+    let lost = routers_lost.clone();
+    inner
+        .info()
+        .transport_events_listener()
+        .callback(move |event| {
+            if event.kind() == SampleKind::Delete && event.transport().whatami() == WhatAmI::Router
+            {
+                lost.fetch_add(1, Ordering::Relaxed);
+            }
+        })
+        .background()
+        .wait()?;
+    Ok(Box::new(Session {
+        inner,
+        routers_lost,
+    }))
 }
 
 /// A configuration file as JSON, comments and all removed.
@@ -151,7 +176,12 @@ fn config_value(config_json5: &str, path: &str) -> Outcome<String> {
 
 impl Session {
     fn close(&self) -> Outcome<()> {
-        self.0.close().wait()
+        self.inner.close().wait()
+    }
+
+    /// How often since it was opened; it connects again by itself.
+    fn routers_lost(&self) -> u64 {
+        self.routers_lost.load(Ordering::Relaxed)
     }
 
     fn declare_publisher(
@@ -166,7 +196,7 @@ impl Session {
             CongestionControl::Drop
         };
         let builder = self
-            .0
+            .inner
             .declare_publisher(key.to_owned())
             .encoding(encoding)
             .congestion_control(congestion)
@@ -195,7 +225,7 @@ impl Session {
         latched: bool,
     ) -> Outcome<Box<Subscriber>> {
         let builder = self
-            .0
+            .inner
             .declare_subscriber(key.to_owned())
             .with(RingChannel::new(capacity));
         let kind = if latched {
@@ -212,13 +242,17 @@ impl Session {
     }
 
     fn declare_token(&self, key: &str) -> Outcome<Box<LivelinessToken>> {
-        let token = self.0.liveliness().declare_token(key.to_owned()).wait()?;
+        let token = self
+            .inner
+            .liveliness()
+            .declare_token(key.to_owned())
+            .wait()?;
         Ok(Box::new(LivelinessToken(token)))
     }
 
     fn declare_queryable(&self, key: &str) -> Outcome<Box<Queryable>> {
         let queryable = self
-            .0
+            .inner
             .declare_queryable(key.to_owned())
             .with(FifoChannel::new(QUERY_QUEUE))
             .wait()?;
@@ -228,7 +262,7 @@ impl Session {
     /// Asks and returns the first answer's payload; a refusal or silence is an error.
     fn get(&self, key: &str, payload: &[u8], timeout_ms: u64) -> Outcome<Vec<u8>> {
         let replies = self
-            .0
+            .inner
             .get(key)
             .payload(payload)
             .timeout(Duration::from_millis(timeout_ms))
@@ -301,7 +335,7 @@ impl Sample {
     fn is_put(&self) -> bool {
         self.inner
             .as_ref()
-            .is_some_and(|sample| sample.kind() == zenoh::sample::SampleKind::Put)
+            .is_some_and(|sample| sample.kind() == SampleKind::Put)
     }
 
     fn is_shared_memory(&self) -> bool {

@@ -163,6 +163,17 @@ TEST(ZenohConfig, NobodyListeningIsAnErrorNotAWait) {
     EXPECT_THROW((void)Session::open(client), ZException);
 }
 
+TEST_F(Zenoh, LossOfTheRouterIsCounted) {
+    EXPECT_EQ(client.routers_lost(), 0U);
+    router.close();
+    const auto deadline = std::chrono::steady_clock::now() + kLong;
+    while (client.routers_lost() == 0 && std::chrono::steady_clock::now() < deadline) {
+        std::this_thread::sleep_for(Milliseconds{5});
+    }
+    EXPECT_EQ(client.routers_lost(), 1U);
+    EXPECT_EQ(router.routers_lost(), 0U);
+}
+
 TEST_F(Zenoh, RingKeepsTheNewestInTheOrderTheyCame) {
     const Subscriber ring = client.declare_subscriber("k", {.capacity = 2});
     const Subscriber all = client.declare_subscriber("k", {.capacity = 16});

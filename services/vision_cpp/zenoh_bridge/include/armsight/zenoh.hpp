@@ -175,6 +175,8 @@ class Session {
         const auto answer = inner_->get(detail::str(key), detail::slice(payload), detail::count(timeout));
         return {reinterpret_cast<const char*>(answer.data()), answer.size()};
     }
+    /// How often since it was opened; it connects again by itself.
+    [[nodiscard]] std::uint64_t routers_lost() const { return inner_->routers_lost(); }
     /// Ends every recv(). Call it before main returns.
     void close() const { inner_->close(); }
 
