@@ -152,7 +152,7 @@ def _carriers() -> dict[str, list[str]]:
 
 
 def _topic_row(topic: "Topic[Any]") -> str:
-    delivery = ", ".join([topic.delivery, *["express"] * topic.express, *["renewed"] * topic.renewed])
+    delivery = f"{topic.delivery}, express" if topic.express else topic.delivery
     cells = [_named(topic.message), _who(topic.publishers), _who(topic.readers), delivery, topic.priority.lower()]
     return f"| `{topic.key}` | {' | '.join(cells)} | {topic.ring} |"
 

@@ -265,7 +265,7 @@ class Bus:
                 cache=zenoh.ext.CacheConfig(max_samples=1),
                 publisher_detection=True,
                 sample_miss_detection=zenoh.ext.MissDetectionConfig(
-                    heartbeat=None if topic.renewed else LATCHED_HEARTBEAT_S, sporadic_heartbeat=None
+                    heartbeat=LATCHED_HEARTBEAT_S, sporadic_heartbeat=None
                 ),
             )
             self._latched.append(latched)
@@ -411,7 +411,7 @@ class Bus:
         if topic.delivery != "latched":
             return self.session.declare_subscriber(key, channel)
         history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
-        recovery = None if topic.renewed else zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
+        recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
         return zenoh.ext.declare_advanced_subscriber(self.session, key, channel, history=history, recovery=recovery)
 
     def _answer(self, query: Query[Request, Response], handler: Callable[[Request], Response], asked: Any) -> None:

@@ -64,8 +64,6 @@ class Topic(Generic[M]):
     priority: str
     ring: int
     express: bool = False
-    renewed: bool = False
-    """Put so often that the next value makes up for one that was lost."""
     watchers: tuple[str, ...] = ()
     """Of the liveliness token that each publisher holds on the same key; none: there is no token."""
 
@@ -145,7 +143,6 @@ def _topic(name: str, message: type[M]) -> Topic[M]:
         priority=row["priority"],
         ring=row["ring"],
         express=row.get("express", False),
-        renewed=row.get("renewed", False),
         watchers=_who(row, "watchers"),
     )
 

@@ -48,6 +48,8 @@ from armsight_control.trajectory import MotionLimits, Step
 
 # Since an answer that is not known: sim's 30 frames a second.
 _PERIOD_S = 1 / 30
+# The clock may be heard later than the positions of frames that were sent after it, never by so much.
+_AHEAD_NS = NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,17 +215,22 @@ class Loop:
 
     # --- the answer
 
-    def answer(self, message: JointPositions, age_s: float) -> Answer | None:
+    def answer(self, message: JointPositions, age_s: float, now_ns: int | None = None) -> Answer | None:
         """Answers the positions of one instant; nothing where they are not newer than the last ones answered.
 
         Args:
             message: as it came.
             age_s: since it was received, by this process' monotonic clock.
+            now_ns: the arm's clock, as far as it was heard. Positions far ahead of it are of no instant that a camera
+                has seen, and once answered would keep all later ones out.
         """
         try:
             capture_ns = capture_of(message)
         except PositionsError as error:
             self._counters.add(f"positions_refused_{error.reason}")
+            return None
+        if now_ns is not None and capture_ns > now_ns + _AHEAD_NS:
+            self._counters.add("positions_refused_future")
             return None
         if self._last is not None and capture_ns <= self._last.capture_ns:
             same = capture_ns == self._last.capture_ns

@@ -14,7 +14,7 @@ from armsight.bus import Received
 from armsight.errors import ArmsightError
 from armsight.parameters import Value
 from armsight.service import EXIT_CONFIG, Context, run_service
-from armsight.times import wall_ns
+from armsight.times import from_timestamp, wall_ns
 from armsight.topics import (
     CLOCK,
     CONTROL_STATUS,
@@ -96,7 +96,7 @@ class Service:
                 self._pursuit.catch_up(received.message, self._context.stop)
             with self._lock:
                 # in lockstep the arm stands until it is answered: positions don't age
-                answer = self._loop.answer(received.message, 0.0 if lockstep else age_s)
+                answer = self._loop.answer(received.message, 0.0 if lockstep else age_s, self._now_ns())
             if answer is not None:
                 self._send(answer, received, received_ns)
             if not lockstep:
@@ -109,6 +109,10 @@ class Service:
     def _lockstep(self) -> bool:
         clock = self._clock.latest
         return clock is not None and clock.message.mode == CLOCK_MODE_LOCKSTEP
+
+    def _now_ns(self) -> int | None:
+        clock = self._clock.latest
+        return None if clock is None else from_timestamp(clock.message.capture_time)
 
     def _send(self, answer: Answer, received: Received[JointPositions], received_ns: int) -> None:
         stages = answer.command.stages

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from armsight.counters import Counters
-from armsight.times import from_duration, from_timestamp, to_timestamp
+from armsight.times import NS_PER_S, from_duration, from_timestamp, to_timestamp
 from armsight.v1.control_pb2 import (
     CONTROL_MODE_JOINTS,
     CONTROL_MODE_TEST_1,
@@ -208,6 +208,15 @@ def test_positions_older_than_the_last_answered_ones_get_no_answer(stack: Stack)
     old = stack.camera.positions(stack.q, stack.capture_ns - 1)
     assert stack.loop.answer(old, 0.0) is None
     assert stack.counters.snapshot()["positions_refused_order"] == 1
+
+
+def test_positions_of_an_instant_that_nobody_has_seen_keep_no_later_ones_out(stack: Stack) -> None:
+    stack.reset(np.zeros(4))
+    stack.step()
+    ahead = stack.camera.positions(stack.q, stack.capture_ns + 2 * NS_PER_S)
+    assert stack.loop.answer(ahead, 0.0, stack.capture_ns) is None
+    assert stack.counters.snapshot()["positions_refused_future"] == 1
+    assert stack.step().capture_ns == stack.capture_ns
 
 
 def test_a_new_sim_may_begin_at_an_earlier_time(stack: Stack) -> None:

@@ -393,7 +393,7 @@ def test_configuration_grants_what_the_table_grants_and_denies_the_rest() -> Non
         for topic in TOPICS
         for role in names(topic.publishers)
         for heartbeat in ("", "/@adv/pub/**")
-        if not heartbeat or (topic.delivery == "latched" and not topic.renewed)
+        if not heartbeat or topic.delivery == "latched"
     }
     asks = {
         (role, key)

@@ -200,7 +200,10 @@ class Simulation:
 
     def _target_from_elsewhere(self, received: Received[Point3InFrame]) -> None:
         """Somebody else has a target for the arm: the demonstration ends, or the two would pull it to and fro."""
-        if from_timestamp(received.message.timestamp) not in self._own_targets:
+        point = received.message.point
+        if not np.isfinite([point.x, point.y, point.z]).all():  # nobody goes there
+            self._context.bus.counters.add("target_refused")
+        elif from_timestamp(received.message.timestamp) not in self._own_targets:
             self._shows_target = False
 
     def _publish_accepted(self, capture_ns: int) -> None:

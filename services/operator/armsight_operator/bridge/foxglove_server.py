@@ -22,6 +22,7 @@ from armsight.topics import (
     ASK_PARAMETERS,
     DESCRIPTION,
     EACH,
+    NAME,
     SERVICES,
     SET_PARAMETERS,
     TARGET,
@@ -126,9 +127,10 @@ class Bridge:
         if converted is not None:
             self._latched[converted.channel] = converted.message.SerializeToString()
             self._say(converted.channel, self._latched[converted.channel])
+        names = [camera for camera in received.message.cameras if NAME.fullmatch(camera)]
         for topic in TOPICS:
             if topic.key.startswith("camera/"):
-                for camera in received.message.cameras:
+                for camera in names:
                     self._offer(topic, camera)
 
     # what is looked at

@@ -58,7 +58,6 @@ def rights(
 
 def _of_topic(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
     latched = topic.delivery == "latched"
-    has_heartbeat = latched and not topic.renewed
     for key in _keys(role, topic.key, topic.publishers):
         yield "ingress", "put", key
         # subscriptions as they were declared, wildcards and all: without hearing of one, a publisher sends nothing
@@ -70,16 +69,14 @@ def _of_topic(role: str, topic: Topic[Any]) -> Iterator[tuple[Flow, str, str]]:
             yield "ingress", "declare_queryable", f"{key}/{_OF_LATCHED}"
             yield "egress", "query", f"{_any_name(topic.key)}/{_ASKED_OF_LATCHED}"
             yield "ingress", "reply", key
-        if has_heartbeat:
             yield "ingress", "put", f"{key}/{_OF_LATCHED}"
             yield "egress", "declare_subscriber", f"{_any_name(topic.key)}/{_OF_LATCHED}"
     for key in _keys(role, topic.key, topic.readers):
         yield "ingress", "declare_subscriber", key
         yield "egress", "put", key
-        if has_heartbeat:
+        if latched:
             yield "ingress", "declare_subscriber", f"{key}/{_OF_LATCHED}"
             yield "egress", "put", f"{key}/{_OF_LATCHED}"
-        if latched:
             yield "ingress", "declare_liveliness_subscriber", f"{key}/{_OF_LATCHED}"
             yield "egress", "liveliness_token", f"{key}/{_OF_LATCHED}"
             yield "ingress", "query", f"{key}/{_ASKED_OF_LATCHED}"

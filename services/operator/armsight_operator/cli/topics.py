@@ -56,7 +56,7 @@ def echo(
 
     Example: armsight topics echo joints/positions --count 1
     """
-    from google.protobuf.json_format import MessageToJson
+    from google.protobuf.json_format import MessageToJson, SerializeToJsonError
 
     from armsight_operator.cli.bus import configuration, connected
 
@@ -74,7 +74,10 @@ def echo(
             for long_field in _LONG_FIELDS:
                 if long_field in message.DESCRIPTOR.fields_by_name:
                     message.ClearField(long_field)
-            print(MessageToJson(message, indent=None, preserving_proto_field_name=True), flush=True)
+            try:
+                print(MessageToJson(message, indent=None, preserving_proto_field_name=True), flush=True)
+            except SerializeToJsonError as error:  # a time that no calendar has
+                print(f"no JSON can say what is on {received.key}: {error}", file=sys.stderr, flush=True)
             seen += 1
 
 

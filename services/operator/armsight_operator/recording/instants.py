@@ -10,15 +10,26 @@ from armsight.times import from_timestamp
 _FIELDS = ("capture_time", "answers", "timestamp", "now")
 
 
+_LATEST_NS = 2**63 - 1
+"""What a file's index can name; whoever says a later time, or one before 1970, has none that can be told."""
+
+
 def instant_of(message: Message) -> int | None:
-    """The instant, Unix nanoseconds; none where the message has no time of its own."""
+    """The instant, Unix nanoseconds; none where the message has no time of its own, or one that no clock shows."""
+    stamp = _stamp_of(message)
+    if stamp is None:
+        return None
+    ns = from_timestamp(stamp)
+    return ns if 0 <= ns <= _LATEST_NS else None
+
+
+def _stamp_of(message: Message) -> Timestamp | None:
     if isinstance(message, ImageAnnotations):
-        stamps = [
-            shape.timestamp for shapes in (message.texts, message.circles, message.points) for shape in shapes[:1]
-        ]
-        return from_timestamp(stamps[0]) if stamps else None
+        shapes = [shape for shapes in (message.texts, message.circles, message.points) for shape in shapes[:1]]
+        return shapes[0].timestamp if shapes else None
     for name in _FIELDS:
         field = message.DESCRIPTOR.fields_by_name.get(name)
         if field is not None and field.message_type is Timestamp.DESCRIPTOR and message.HasField(name):
-            return from_timestamp(getattr(message, name))
+            stamp: Timestamp = getattr(message, name)
+            return stamp
     return None

@@ -56,7 +56,13 @@ class Scene:
         self._description: ArmDescription | None = None
 
     def convert(self, topic: Topic[Any], message: Message) -> Converted | None:
-        """What one message of the bus gives for 3D panels; none for most."""
+        """What one message of the bus gives for 3D panels; none for most, and none where it has numbers without end."""
+        try:
+            return self._converted(topic, message)
+        except (ValueError, OverflowError):
+            return None
+
+    def _converted(self, topic: Topic[Any], message: Message) -> Converted | None:
         if isinstance(message, ArmDescription):
             self._description = message
             return Converted(ARM, _arm(message))
