@@ -127,7 +127,7 @@ class Loop:
             if self._body is None:
                 self._unusable = f"the arm's description can't be used: {error}"
             return
-        self._description, self._body, self._refused = serialised, None, None
+        self._description, self._body, self._refused, self._estimate = serialised, None, None, None
         self._setpoints.forget()
         self._movement.rest()
         try:

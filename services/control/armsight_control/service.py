@@ -5,6 +5,7 @@ lockstep the answer waits for the solution of the present target, so that runs r
 """
 
 import gc
+import logging
 import sys
 import threading
 from collections.abc import Mapping
@@ -48,6 +49,8 @@ from armsight_control.solvers import check_applies
 from armsight_control.tuning import tunables, tuned
 
 # Without positions for this long the status says so, and again as often.
+log = logging.getLogger(__name__)
+
 QUIET_S = 0.25
 
 
@@ -94,9 +97,8 @@ class Service:
             lockstep = self._lockstep()
             if lockstep:
                 self._pursuit.catch_up(received.message, self._context.stop)
-            with self._lock:
-                # in lockstep the arm stands until it is answered: positions don't age
-                answer = self._loop.answer(received.message, 0.0 if lockstep else age_s, self._now_ns())
+            # in lockstep the arm stands until it is answered: positions don't age
+            answer = self._answer(received.message, 0.0 if lockstep else age_s)
             if answer is not None:
                 self._send(answer, received, received_ns)
             if not lockstep:
@@ -109,6 +111,15 @@ class Service:
     def _lockstep(self) -> bool:
         clock = self._clock.latest
         return clock is not None and clock.message.mode == CLOCK_MODE_LOCKSTEP
+
+    def _answer(self, message: JointPositions, age_s: float) -> Answer | None:
+        with self._lock:
+            try:
+                return self._loop.answer(message, age_s, self._now_ns())
+            except Exception:  # one message that nobody thought of must not end control: sim's watchdog holds the arm
+                self._context.bus.counters.add("failed_joint_positions")
+                log.exception("answering positions failed")
+                return None
 
     def _now_ns(self) -> int | None:
         clock = self._clock.latest

@@ -210,6 +210,21 @@ def test_positions_older_than_the_last_answered_ones_get_no_answer(stack: Stack)
     assert stack.counters.snapshot()["positions_refused_order"] == 1
 
 
+def test_another_arm_with_more_joints_is_taken_while_control_runs(stack: Stack) -> None:
+    stack.reset(np.zeros(4))
+    stack.step()
+    other = ArmDescription()
+    other.CopyFrom(stack.description)
+    other.joints.add().CopyFrom(other.joints[3])
+    other.joints[4].name = "joint5"
+    stack.loop.describe(other)
+    stack.capture_ns += PERIOD_NS
+    answer = stack.loop.answer(stack.look(), 0.001)
+    assert answer is not None
+    assert answer.command.hold, "nothing is known of where its joints are"
+    assert not answer.status.joints
+
+
 def test_positions_of_an_instant_that_nobody_has_seen_keep_no_later_ones_out(stack: Stack) -> None:
     stack.reset(np.zeros(4))
     stack.step()
