@@ -40,6 +40,11 @@ def ip(*words: str) -> None:
     _run("ip", *words)
 
 
+def inside(name: str) -> list[str]:
+    """What stands before a command that is to run in a namespace."""
+    return ["ip", "netns", "exec", name]
+
+
 @contextmanager
 def namespace(name: str) -> Iterator[None]:
     """A network of its own; with it goes every cable that ends in it."""
@@ -61,24 +66,26 @@ class End:
     """Empty: where the test is."""
 
     @property
-    def _there(self) -> list[str]:
+    def there(self) -> list[str]:
+        """What `ip` is told of where it is."""
         return ["-n", self.namespace] if self.namespace else []
 
     def up(self) -> None:
         """Gives it its address, and plugs it in."""
-        ip(*self._there, "addr", "add", f"{self.address}/24", "dev", self.device)
+        ip(*self.there, "addr", "add", f"{self.address}/24", "dev", self.device)
         self.plug()
 
     def plug(self) -> None:
-        ip(*self._there, "link", "set", self.device, "up")
+        ip(*self.there, "link", "set", self.device, "up")
 
     def unplug(self) -> None:
-        ip(*self._there, "link", "set", self.device, "down")
+        ip(*self.there, "link", "set", self.device, "down")
 
 
 def lay_cable(here: End, there: End) -> None:
+    """From one namespace to another, plugged in."""
     peer = ["peer", "name", there.device, *(["netns", there.namespace] if there.namespace else [])]
-    ip(*here._there, "link", "add", here.device, "type", "veth", *peer)
+    ip(*here.there, "link", "add", here.device, "type", "veth", *peer)
     here.up()
     there.up()
 
@@ -113,7 +120,7 @@ class Network:
         """The network for a while."""
         with ExitStack() as undo:
             undo.enter_context(namespace(self.middle))
-            _run("ip", "netns", "exec", self.middle, "sysctl", "-qw", "net.ipv4.ip_forward=1")
+            _run(*inside(self.middle), "sh", "-c", "echo 1 >/proc/sys/net/ipv4/ip_forward")
             for name in self._names:
                 there = self.namespace_of(name)
                 undo.enter_context(namespace(there))
@@ -179,7 +186,7 @@ class Network:
                 }
                 command = [sys.executable, str(Path(__file__).with_name("held_packets.py"))]
                 command += [f"--{name}={value}" for name, value in flags.items()]
-                undo.enter_context(_running(["ip", "netns", "exec", self.middle, *command]))
+                undo.enter_context(_running([*inside(self.middle), *command]))
                 undo.enter_context(self._rule([host], "both", ["-j", "NFQUEUE", "--queue-num", str(queue)]))
             yield
 
@@ -215,7 +222,7 @@ class Network:
                 self._iptables("-D", *each)
 
     def _iptables(self, *words: str) -> None:
-        _run("ip", "netns", "exec", self.middle, "iptables", "--wait", *words)
+        _run(*inside(self.middle), "iptables", "--wait", *words)
 
 
 @contextmanager
@@ -238,7 +245,7 @@ class SpreadStack(Stack):
         return f"tcp/{self._network.address('router')}:{self.port}"
 
     def command(self, name: str) -> list[str]:
-        return ["ip", "netns", "exec", self._network.namespace_of(name), *super().command(name)]
+        return [*inside(self._network.namespace_of(name)), *super().command(name)]
 
 
 def _run(*words: str) -> None:

@@ -10,12 +10,12 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
+import network
 import numpy as np
 import pytest
+from network import Network, SpreadStack
 
 import faults
-import network
-from network import Network, SpreadStack
 from rig import SERVICES, Rig
 
 pytestmark = network.NEEDS_ROOT
@@ -72,8 +72,7 @@ ALL = {
     "partition of vision": Harm("partition for 5 s", ("vision",), 5.0, partition("both")),
     **{f"nothing to {name}": Harm("partition for 5 s, to it", (name,), 5.0, partition("to")) for name in SERVICES},
     **{
-        f"nothing from {name}": Harm("partition for 5 s, from it", (name,), 5.0, partition("from"))
-        for name in SERVICES
+        f"nothing from {name}": Harm("partition for 5 s, from it", (name,), 5.0, partition("from")) for name in SERVICES
     },
     "partition of control for longer": Harm("partition for 12 s", ("control",), 12.0, partition("both")),
 }
@@ -132,9 +131,7 @@ def run(spread: tuple[Rig, Network], path: Path, harm: Harm, times: int, seed: i
 
 
 @pytest.mark.parametrize("fault", IN_CI)
-def test_arm_goes_on_in_time_after_the_network_was_bad(
-    spread: tuple[Rig, Network], tmp_path: Path, fault: str
-) -> None:
+def test_arm_goes_on_in_time_after_the_network_was_bad(spread: tuple[Rig, Network], tmp_path: Path, fault: str) -> None:
     run(spread, tmp_path / "run.mcap", IN_CI[fault], 1, SEED + list(ALL).index(fault))
 
 
