@@ -59,7 +59,7 @@ class Recovery:
 def recording(rig: Rig, path: Path) -> Iterator[None]:
     """A recorder that writes all but pixels."""
     command = [str(find_executable("router")), "record", str(path), "--without", "camera/*/image"]
-    command += ["--connect", rig.stack.endpoint]
+    command += ["--connect", rig.endpoint]
     with path.with_suffix(".log").open("w") as log:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
         try:
@@ -104,6 +104,12 @@ def freeze(rig: Rig, victims: Sequence[str], seconds: float) -> Fault:
     return _over(rig, "SIGSTOP", victims, began_ns, ended_ns, ended_ns)
 
 
+def passed(rig: Rig, kind: str, victims: Sequence[str], began_ns: int) -> Fault:
+    """A fault of the network that has just ended; waits until the arm moves."""
+    ended_ns = time.time_ns()
+    return _over(rig, kind, victims, began_ns, ended_ns, ended_ns)
+
+
 def _pid(rig: Rig, name: str) -> int:
     process = rig.stack.process(name)
     assert process is not None
@@ -146,6 +152,12 @@ def assert_health_showed(recorded: Timeline, fault: Fault) -> None:
     seen_by = SERVICES if "router" in fault.victims else fault.victims
     unseen = [name for name in seen_by if not shown[name]]
     assert unseen == [], f"health of {unseen} showed nothing of {fault}"
+
+
+def assert_some_health_showed(recorded: Timeline, fault: Fault) -> None:
+    """Of a fault of the network: who suffers from it may be at the other end."""
+    shown = [name for name in SERVICES if health_showed(recorded, name, fault.began_ns, fault.over_ns)]
+    assert shown, f"nobody's health showed anything of {fault}"
 
 
 def recovery(recorded: Timeline, fault: Fault) -> Recovery:

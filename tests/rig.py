@@ -58,10 +58,16 @@ class Truth:
 
 
 class Rig:
-    """One stack on a private port, and a place on its bus."""
+    """One stack on a private port, and a place on its bus.
 
-    def __init__(self, stack: Stack) -> None:
+    Args:
+        stack: the processes.
+        endpoint: of the router, for the test and whoever watches (default: that of the services).
+    """
+
+    def __init__(self, stack: Stack, endpoint: str | None = None) -> None:
         self.stack = stack
+        self.endpoint = endpoint or stack.endpoint
         self._bus: Bus | None = None
         self._truth: Subscriber[JointStates] | None = None
         self._status: Subscriber[ControlStatus] | None = None
@@ -129,7 +135,7 @@ class Rig:
     def bus(self) -> Bus:
         if self._bus is None:
             config = SessionConfig(
-                endpoints=(self.stack.endpoint,), shared_memory="off", file=self.stack.zenoh_config("operator")
+                endpoints=(self.endpoint,), shared_memory="off", file=self.stack.zenoh_config("operator")
             )
             session = open_session(config, threading.Event())
             assert session is not None

@@ -1,7 +1,7 @@
 """Writes the table of measured recoveries into docs/reliability.md: `.venv/bin/python tools/recovery_table.py`.
 
-The suites measure: `ARMSIGHT_RECOVERY_RESULTS=bench/results/recovery.json .venv/bin/pytest tests/test_faults.py` adds
-to that file, with `-m long` fifty of each.
+The suites measure: `ARMSIGHT_RECOVERY_RESULTS=bench/results/recovery.json .venv/bin/pytest tests/test_faults.py
+tests/test_network_faults.py` adds to that file, with `-m long` fifty of each.
 """
 
 import json
@@ -38,7 +38,8 @@ def page(before: str, results: list[dict[str, Any]]) -> str:
         f"{head}{BEGIN}\nMade by `tools/recovery_table.py` from `bench/results/recovery.json`, on two "
         "cores that had other work, too. "
         "Start-up is from the start of the process to its word that it is well (of the router: until it listens);"
-        "\nwhat comes after is counted from there, and from SIGCONT where a process stood still. "
+        "\nwhat comes after is counted from there, and from SIGCONT where a process stood still, and from "
+        "the end of a fault of the network. "
         f"0.00 where the arm moved before that word was heard.\n\n{table(results)}"
     )
 

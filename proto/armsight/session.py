@@ -33,7 +33,21 @@ _DATA_LOW_QUEUE = 16
 _LATCHED_PATIENCE_MS = 1500
 """How long a lost answer keeps a reader of a latched value from asking again; our own queries say theirs."""
 
-_RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
+# Zenoh's own of 10 s leaves it to TCP to find out that the network is back, and TCP doubles its pauses: after 5 s of
+# partition the arm went on after up to 2.5 s. A connection that was silent for so long is made anew; one that was
+# silent for less is tried again by TCP before as much time again is over.
+_LEASE_MS = 3000
+
+# An attempt to connect that nobody answers: TCP asks again after 1 s and 2 s, then less and less often. Between 2.5 s
+# and the next attempt's first try there is less than another second.
+_OPEN_TIMEOUT_MS = 2500
+
+# What a sender may have on its way. Left to itself Linux takes up to 4 MB of frames: where a link falls to 1 Mbit/s
+# that is half a minute's worth, and with BBR, which stays at that pace, the arm went on up to 8 s after the link was
+# fast again. An endpoint can say more, for frames over a long way: tls/HOST:PORT#so_sndbuf=4194304.
+_SEND_BUFFER_BYTES = 262144
+
+_RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 _HINT_AFTER_ATTEMPTS = 4
 
@@ -205,6 +219,10 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
     put("scouting/gossip/enabled", False)
     put("transport/link/tx/queue/size/data_low", _DATA_LOW_QUEUE)
     put("queries_default_timeout", _LATCHED_PATIENCE_MS)
+    put("transport/link/tx/lease", _LEASE_MS)
+    put("transport/unicast/open_timeout", _OPEN_TIMEOUT_MS)
+    for protocol in ("tcp", "tls"):
+        put(f"transport/link/{protocol}/so_sndbuf", _SEND_BUFFER_BYTES)
     if config.mode == "router":
         put("listen/endpoints", list(config.endpoints))
         put("connect/endpoints", list(config.links))

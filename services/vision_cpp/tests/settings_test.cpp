@@ -69,6 +69,8 @@ TEST_F(Environment, SessionIsAClientWithTheDefaultsOfAllServices) {
     EXPECT_EQ(config.get_json("scouting/multicast/enabled"), "false");
     EXPECT_EQ(config.get_json("transport/shared_memory/enabled"), "true");
     EXPECT_EQ(config.get_json("transport/link/tx/queue/size/data_low"), "16");
+    EXPECT_EQ(config.get_json("transport/link/tx/lease"), "3000");
+    EXPECT_EQ(config.get_json("transport/unicast/open_timeout"), "2500");
 }
 
 TEST_F(Environment, MissingConfigurationFileIsAnErrorOfOurs) {

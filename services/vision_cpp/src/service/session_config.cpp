@@ -18,6 +18,10 @@ constexpr int kDataLowQueue = 16;
 // How long a lost answer keeps a reader of a latched value from asking again.
 constexpr int kLatchedPatienceMs = 1500;
 
+// How soon a connection that is silent, or does not come about, is made anew: see proto/armsight/session.py.
+constexpr int kLeaseMs = 3000;
+constexpr int kOpenTimeoutMs = 2500;
+
 // Files of TLS are named relative to the configuration, which so works wherever its folder is put. With one that is
 // missing Zenoh would try again for ever.
 void find_tls_files(zenoh::Config& config, const std::string& file) {
@@ -75,10 +79,12 @@ zenoh::Config session_config(const Settings& settings, bool shared_memory) {
         put("scouting/gossip/enabled", false);
         put("transport/link/tx/queue/size/data_low", kDataLowQueue);
         put("queries_default_timeout", kLatchedPatienceMs);
+        put("transport/link/tx/lease", kLeaseMs);
+        put("transport/unicast/open_timeout", kOpenTimeoutMs);
         put("connect/endpoints", connect);
         put("connect/timeout_ms", 500);
         put("connect/exit_on_failure", true);
-        put("connect/retry", {{"period_init_ms", 100}, {"period_max_ms", 1000}, {"period_increase_factor", 1.5}});
+        put("connect/retry", {{"period_init_ms", 100}, {"period_max_ms", 500}, {"period_increase_factor", 1.5}});
         put("listen/endpoints", json::array());
         put("namespace", name_space);
         put("transport/shared_memory/enabled", shared_memory);
