@@ -22,7 +22,7 @@ from armsight.v1.health_pb2 import HEALTH_STATUS_OK, Health
 from armsight.v1.joints_pb2 import JointCommand, JointSetpoint
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, STOP_ACTION_STOP, StopRequest
 from armsight.v1.sim_pb2 import ResetRequest
-from armsight_operator.stack import Stack
+from armsight_operator.stack import Stack, Supervisor
 
 Vector = npt.NDArray[np.float64]
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
@@ -90,6 +90,24 @@ class Rig:
         started = time.monotonic()
         self.stack.kill(name, signal.SIGTERM)
         return time.monotonic() - started
+
+    @contextmanager
+    def supervised(self) -> Iterator[None]:
+        """Who dies by itself is started again, as `armsight up` and Docker Compose do; it is printed."""
+        supervisor, done = Supervisor(self.stack), threading.Event()
+
+        def watch() -> None:
+            while not done.wait(0.1):
+                for death in supervisor.poll():
+                    print(death)
+
+        thread = threading.Thread(target=watch, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
 
     def close(self) -> None:
         if self._bus is not None:

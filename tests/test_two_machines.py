@@ -85,7 +85,9 @@ def rigs(machines: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[t
             edge.start(name)
         for name in ("router", "control"):
             center.start(name)
-        yield center, edge
+        # a broken TLS connection can end a process: docs/reliability.md
+        with center.supervised(), edge.supervised():
+            yield center, edge
     finally:
         center.close()
         edge.close()
