@@ -15,10 +15,11 @@ from armsight import topics
 from armsight.bus import Bus, Received, open_bus
 from armsight.images import encode_rgb8
 from armsight.session import SessionConfig, open_session
-from armsight.times import from_timestamp
+from armsight.times import from_timestamp, to_timestamp
 from armsight.topics import SERVICES
-from armsight.v1.control_pb2 import ControlStatus
-from armsight.v1.joints_pb2 import JointPositions, StageTimes
+from armsight.v1.control_pb2 import CONTROL_STATE_MOVING, ControlStatus
+from armsight.v1.joints_pb2 import JointCommand, JointPositions, StageTimes
+from armsight.v1.sim_pb2 import CLOCK_MODE_REALTIME, Clock
 from armsight_operator.monitor import Monitor
 from armsight_operator.picture import take_snapshot
 from armsight_operator.report.run import wait_ready
@@ -34,6 +35,7 @@ RATE_HZ = 30.0
 LOCKSTEP_SECONDS = 8.0
 RENDERS = 100
 REPLAYED = 600
+WARM_UP = 60
 CONTROL_MODES = (
     ("test-1", "lockstep", "none"),
     ("test-2", "lockstep", "none"),
@@ -105,6 +107,94 @@ def measure_latency(shared_memory: bool) -> list[Result]:
     return results
 
 
+class Sender:
+    """Puts recorded frames in the place of sim, as often as it did, and takes the time until each is answered."""
+
+    def __init__(self, stack: Stack, shared_memory: bool, closing: contextlib.ExitStack) -> None:
+        """Ends sim once the arm moves, and has what it said last."""
+        bus = closing.enter_context(bus_of(stack))
+        accepted, target = bus.subscriber(topics.JOINTS_ACCEPTED), bus.subscriber(topics.TARGET)
+        status = bus.subscriber(topics.CONTROL_STATUS)
+        deadline = time.monotonic() + 40.0
+        while status.latest is None or status.latest.message.state != CONTROL_STATE_MOVING:
+            if time.monotonic() > deadline:
+                raise RuntimeError("the arm does not move")
+            time.sleep(0.05)
+        self._snapshot = take_snapshot(bus, timeout_s=20.0)
+        latest_accepted, latest_target = accepted.latest, target.latest
+        if latest_accepted is None or latest_target is None:
+            raise RuntimeError("sim says neither setpoint nor target")
+        self._target = latest_target.message
+        stack.kill("sim", signal.SIGKILL)
+        config = SessionConfig(endpoints=(stack.endpoint,), shared_memory="publish" if shared_memory else "off")
+        session = open_session(config, threading.Event())
+        assert session is not None
+        sending = closing.enter_context(open_bus(session))
+        self._frames = {name: sending.publisher(topics.CAMERA_IMAGE, name) for name in self._snapshot.cameras}
+        self._clock, self._targets = sending.publisher(topics.CLOCK), sending.publisher(topics.TARGET)
+        sending.publisher(topics.JOINTS_ACCEPTED).put(latest_accepted.message)
+        self._sent_ns: dict[int, int] = {}
+        self.taken_ms: list[float] = []
+        bus.subscriber(topics.JOINT_COMMAND, keep=64, on_message=self._heard)
+
+    def _heard(self, received: Received[JointCommand]) -> None:
+        sent_ns = self._sent_ns.pop(from_timestamp(received.message.answers), None)
+        if sent_ns is not None:
+            self.taken_ms.append((time.monotonic_ns() - sent_ns) / 1e6)
+
+    def send(self, pairs: int) -> None:
+        """So many instants, encoded before their time is taken."""
+        answered_before = len(self.taken_ms)
+        for _ in range(pairs):
+            due = time.monotonic() + 1 / RATE_HZ
+            capture_ns = time.time_ns()
+            images = [(name, camera.image) for name, camera in self._snapshot.cameras.items()]
+            payloads = [(name, encode_rgb8(i.data, i.width, i.height, i.frame_id, capture_ns)) for name, i in images]
+            self._clock.put(Clock(capture_time=to_timestamp(capture_ns), mode=CLOCK_MODE_REALTIME))
+            self._target.timestamp.CopyFrom(to_timestamp(capture_ns))
+            self._targets.put(self._target)
+            self._sent_ns[capture_ns] = time.monotonic_ns()
+            for name, payload in payloads:
+                self._frames[name].put_bytes(payload)
+            time.sleep(max(0.0, due - time.monotonic()))
+        time.sleep(0.3)
+        answered = len(self.taken_ms) - answered_before
+        if answered < 0.95 * pairs:
+            raise RuntimeError(f"{answered} of {pairs} instants were answered")
+
+
+def measure_recorded(shared_memory: bool) -> list[Result]:
+    """Frames published to command received, without rendering, beside an echo of the same bytes, in turn."""
+    os.environ["ARMSIGHT_SHARED_MEMORY"] = "" if shared_memory else "off"
+    name = "shared memory" if shared_memory else "TCP"
+    echo: list[float] = []
+    with Stack() as stack, contextlib.ExitStack() as closing:
+        for service in ("router", *SERVICES):
+            stack.start(service)
+        sender = Sender(stack, shared_memory, closing)
+        sender.send(WARM_UP)
+        sender.taken_ms.clear()
+        for _ in range(ROUNDS):
+            sender.send(PAIRS)
+            echo += measure_echo(stack.endpoint, PAIRS, RATE_HZ, shared_memory)
+    title, results = f"{name}, recorded frames: published to command received", []
+    for percent, factor, more_ms in ((50, 1.0, 2.0), (99, 1.5, 4.0)):
+        value, reference = percentile(sender.taken_ms, percent), percentile(echo, percent)
+        results.append(
+            Result(
+                f"{title}, p{percent}",
+                value,
+                "ms",
+                f"echo p{percent}",
+                value / reference,
+                f"<= {factor:g} x + {more_ms:g} ms",
+                value <= factor * reference + more_ms,
+            )
+        )
+        results.append(Result(f"{name}, echo, p{percent}", reference, "ms", "", None, "", None))
+    return results
+
+
 def measure_vision() -> list[Result]:
     """Frames received to positions sent over TCP, with nothing else at work: frames of a snapshot, sent again."""
     os.environ["ARMSIGHT_SHARED_MEMORY"] = "off"
@@ -170,7 +260,8 @@ def measure_lockstep() -> list[Result]:
             stages, _ = watch(stack, LOCKSTEP_SECONDS)
         alone = renders_a_second(samples)
         rate = len(stages) / LOCKSTEP_SECONDS
-        results.append(compare(f"lockstep, {samples} samples a pixel", rate, "Hz", "rendering alone", alone))
+        title = f"lockstep, {samples} samples a pixel"
+        results.append(Result(title, rate, "Hz", "rendering alone", rate / alone, ">= 0.85 x", rate >= 0.85 * alone))
     return results
 
 
@@ -193,5 +284,7 @@ def renders_a_second(samples: int) -> float:
 
 
 if __name__ == "__main__":
-    results = [*measure_vision(), *measure_control(), *measure_latency(False), *measure_latency(True)]
+    results = [*measure_vision(), *measure_control()]
+    for shared_memory in (False, True):
+        results += [*measure_recorded(shared_memory), *measure_latency(shared_memory)]
     publish("loop", [*results, *measure_lockstep()])
