@@ -9,7 +9,9 @@ namespace armsight::vision::service {
 /// Bytes that a process which maps the pools of frames of so many robots' sims must be allowed to lock: the pools (6
 /// MiB each, see proto/armsight/shared_memory.py) and Zenoh's own share.
 [[nodiscard]] constexpr std::uint64_t shared_memory_lock_bytes(std::size_t robots) {
-    return robots * (6U << 20U) + 3U * (1U << 19U);
+    constexpr std::uint64_t kPool = 6U << 20U;
+    constexpr std::uint64_t kOwnShare = 3U << 19U;
+    return robots * kPool + kOwnShare;
 }
 
 /// Room in /dev/shm for what a session keeps there.

@@ -33,7 +33,7 @@ class Rota {
 
   private:
     struct Entry {
-        SteadyTime due{};
+        SteadyTime due;
         bool is_taken = false;
     };
     std::vector<Entry> robots_;
