@@ -12,6 +12,7 @@ import subprocess
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 
 from filmed import bus_of
 from processes import memory, processor_s
@@ -24,6 +25,7 @@ from results import Result, publish
 
 SERVICES = ("sim", "vision", "control")
 ROUNDS = 3
+LIGHT = "closed-form"
 WELL_S = 60.0
 LOOP_SECONDS = 20.0
 POLL_S = 0.005
@@ -84,6 +86,19 @@ def measure_processes() -> list[Result]:
     return started + rows
 
 
+def measure_light_control() -> list[Result]:
+    """The same of control without torch, once."""
+    with Stack(target="default", mode="track", extra={"control": ["--solver", LIGHT]}) as stack:
+        stack.start("router")
+        with bus_of(stack.endpoint, stack.namespace) as bus:
+            for name in SERVICES:
+                started_s = start_up_s(stack, bus, name)
+        title = f"control --solver {LIGHT}"
+        rows = [row for row in measure_loop(stack) if row.name.startswith("control: ")]
+    rows.insert(0, Result("control: start-up", started_s, "s", "", None, "", None))
+    return [replace(row, name=row.name.replace("control", title, 1)) for row in rows]
+
+
 def measure_loop(stack: Stack) -> list[Result]:
     """Of every process, while the loop runs at 30 Hz."""
     pids = {name: process.pid for name in stack.names if (process := stack.process(name)) is not None}
@@ -120,4 +135,4 @@ def measure_images() -> list[Result]:
 
 
 if __name__ == "__main__":
-    publish("footprint", [*measure_processes(), *measure_images()])
+    publish("footprint", [*measure_processes(), *measure_light_control(), *measure_images()])
