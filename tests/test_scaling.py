@@ -86,7 +86,7 @@ def test_half_the_rate_takes_half_of_everything_but_memory(tool: dict[str, Any],
 
 def test_what_makes_no_plan_is_refused(tool: dict[str, Any], one: Any) -> None:
     for wrong in ({"robots": 0}, {"used": 0.0}, {"used": 1.5}, {"video": -0.1}, {"links": 1}, {"rate_hz": 0.0}):
-        with pytest.raises(ValueError, match="at least|shares"):
+        with pytest.raises(ValueError, match=r"at least|shares"):
             tool["Assumptions"](**wrong)
     with pytest.raises(ValueError, match="more than the share"):
         plan(tool, one, cores=1, used=0.1)
