@@ -115,14 +115,14 @@ def until(condition: Callable[[], bool], what: str) -> None:
 
 
 @contextmanager
-def machines(options: str = "") -> Iterator[tuple[Stack, Bus, Loop]]:
+def machines(options: str = "") -> Iterator[tuple[Stack, Stack, Loop]]:
     """Robot and operator, linked; positions cross.
 
     Args:
         options: of the robot's end of the link, after its endpoint.
 
     Yields:
-        What runs here but control, a place on its bus, and the loop.
+        What runs here and what at the robot, both but control, and the loop.
     """
     with ExitStack() as closing:
         link = f"tcp/{HERE_HOST}:{free_port()}"
@@ -137,13 +137,13 @@ def machines(options: str = "") -> Iterator[tuple[Stack, Bus, Loop]]:
         if positions.recv(READY_S) is None:
             raise RuntimeError("the robot's positions do not cross the link")
         positions.close()
-        yield here, bus, Loop(bus)
+        yield here, robot, Loop(bus)
 
 
-def start_control(here: Stack, loop: Loop) -> None:
-    """Control at this end, answering."""
-    here.start("control")
-    until(lambda: len(loop.latencies_ms) > 30, "control answers over the link")
+def start_control(where: Stack, loop: Loop) -> None:
+    """Control at one end, answering."""
+    where.start("control")
+    until(lambda: len(loop.latencies_ms) > 30, "control answers")
 
 
 def measure_looking(what: str, here: Stack, loop: Loop) -> list[Result]:
@@ -172,9 +172,14 @@ def main() -> None:
             rows += measure("control and the page there", loop)
             here.kill("page")
             rows += measure_looking("control there, and somebody looks at a camera", here, loop)
+        with machines() as (here, robot, loop):
+            start_control(robot, loop)
+            with bus_of(here.endpoint, here.namespace) as status:
+                Monitor(status)
+                rows += measure("control with the robot, `armsight status` there", loop)
         with machines(SMALL_BUFFER) as (here, _, loop):
             start_control(here, loop)
-            rows += measure_looking(f"the same with `{SMALL_BUFFER}`", here, loop)
+            rows += measure_looking(f"control there, and somebody looks, with `{SMALL_BUFFER}`", here, loop)
     publish("link", rows)
 
 

@@ -65,8 +65,8 @@ def test_control_at_the_center_takes_its_cores_and_memory_there_and_its_bytes_ov
     assert there.center_cores - here.center_cores == pytest.approx(1000 * 0.1)
     assert there.center_mb - here.center_mb == pytest.approx(1000 * 300)
     assert here.center_mb_s == pytest.approx(1000 * 0.020)
-    assert there.center_mb_s == pytest.approx(1000 * 0.120)
-    assert there.link_mb_s == pytest.approx(20 * 0.120)
+    assert there.center_mb_s == pytest.approx(1000 * 0.100)
+    assert there.link_mb_s == pytest.approx(20 * 0.100)
 
 
 def test_frames_stay_in_the_cell_unless_somebody_looks(tool: dict[str, Any], one: Any) -> None:
@@ -99,16 +99,18 @@ def test_one_robots_share_is_taken_from_the_most_that_kept_up(tool: dict[str, An
     series = tool["SERIES"]
     robots = [
         row(f"{series}: most robots that it keeps up with", 4),
-        row(f"{series}, control: most robots that it keeps up with", 2),
         *(
             row(f"{series}, 4 robots: {name}", value)
             for name, value in (("vision", 20), ("router", 8), ("senders", 40))
         ),
         row(f"{series}, 1 robots: vision", 9),
-        row(f"{series}, control, 2 robots: control", 6),
     ]
-    footprint = [row(f"{name}: memory, PSS", mb) for name, mb in (("vision", 11), ("router", 22), ("control", 33))]
-    link = [row(f"{tool[name]}: over the link", kb) for name, kb in (("AT_CENTER", 70), ("STATUS", 90))]
+    control = tool["CONTROL"]
+    footprint = [
+        *(row(f"{name}: memory, PSS", mb) for name, mb in (("vision", 11), ("router", 22), (control, 33))),
+        row(f"{control}: processors at 30 Hz", 3),
+    ]
+    link = [row(f"{tool[name]}: over the link", kb) for name, kb in (("AT_CENTER", 70), ("IN_CELL", 20))]
     found = tool["measured"](robots, footprint, link)
     assert (found.vision_cores, found.router_cores, found.camera_cores) == pytest.approx((0.05, 0.02, 0.1))
     assert found.control_cores == pytest.approx(0.03)

@@ -23,8 +23,9 @@ FRAME_BYTES = 800 * 800 * 3
 POOL_MB = 6 * 2**20 / 1e6
 """Of frames in shared memory, for each robot (proto/armsight/shared_memory.py)."""
 SERIES = "30 Hz, shared memory, one vision for all"
-CONTROLLED = f"{SERIES}, control"
-AT_CENTER, STATUS = "control there", "control and `armsight status` there"
+CONTROL = "control --solver closed-form"
+"""Whose figures count: with torch its memory is fifteen times as much."""
+AT_CENTER, IN_CELL = "control and `armsight status` there", "control with the robot, `armsight status` there"
 
 _ROW = re.compile(r"(?P<series>.+), (?P<robots>\d+) robots: (?P<figure>.+)")
 
@@ -76,9 +77,9 @@ class Measured:
     """Of a router, however many robots it serves."""
     control_mb: float
     link_kb_s: float
-    """Over the link, with control on its far side."""
+    """Over the link, with control on its far side, and somebody there who looks at the robot's health and state."""
     status_kb_s: float
-    """More for somebody who looks at the health and the state of every robot there."""
+    """The same with control on the robot's side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +126,7 @@ def plan(one: Measured, assumed: Assumptions) -> Plan:
         levels.append(math.ceil(levels[-1] / assumed.links))
     routers_at_center = sum(levels)
     frame_mb_s = FRAME_BYTES * assumed.rate_hz / 1e6
-    told_kb_s = (one.status_kb_s if in_cell else one.link_kb_s + one.status_kb_s) * faster
+    told_kb_s = (one.status_kb_s if in_cell else one.link_kb_s) * faster
     link_mb_s = per_cell * (told_kb_s / 1000 + assumed.video * frame_mb_s)
     # what a router in a cell takes with frames in shared memory is what it takes to pass small messages
     passed = one.router_cores * faster * len(levels)
@@ -172,12 +173,12 @@ def measured(
         vision_cores=share(SERIES, "vision"),
         router_cores=share(SERIES, "router"),
         camera_cores=share(SERIES, "senders"),
-        control_cores=share(CONTROLLED, "control"),
+        control_cores=value(footprint, f"{CONTROL}: processors at 30 Hz") / 100,
         vision_mb=value(footprint, "vision: memory, PSS"),
         router_mb=value(footprint, "router: memory, PSS"),
-        control_mb=value(footprint, "control: memory, PSS"),
+        control_mb=value(footprint, f"{CONTROL}: memory, PSS"),
         link_kb_s=value(link, f"{AT_CENTER}: over the link"),
-        status_kb_s=max(0.0, value(link, f"{STATUS}: over the link") - value(link, f"{AT_CENTER}: over the link")),
+        status_kb_s=value(link, f"{IN_CELL}: over the link"),
     )
 
 
@@ -191,8 +192,8 @@ def plan_table(planned: Plan, assumed: Assumptions) -> str:
         ("links between routers", f"{planned.links}"),
         ("busy cores of a cell", f"{planned.cell_cores:.1f} of {assumed.cores}"),
         ("busy cores at the center", f"{planned.center_cores:.1f}"),
-        ("memory of a cell", f"{planned.cell_mb / 1000:.1f} GB"),
-        ("memory at the center", f"{planned.center_mb / 1000:.1f} GB"),
+        ("memory of a cell", f"{planned.cell_mb / 1000:.2f} GB"),
+        ("memory at the center", f"{planned.center_mb / 1000:.2f} GB"),
         ("frames within a cell", f"{planned.frames_mb_s:.0f} MB/s"),
         ("over a cell's link", f"{planned.link_mb_s:.2f} MB/s"),
         ("over all links", f"{planned.center_mb_s:.0f} MB/s"),
@@ -218,8 +219,8 @@ def growth_table(robots: Sequence[Mapping[str, Any]]) -> str:
             key = found["series"], int(found["robots"])
             loads.setdefault(key, {})[found["figure"]] = float(row["value"])
     lines = [
-        "| frames | robots | vision, each | beside one | router, each | senders, each | sent | answered | p50 | p99 |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| frames | robots | vision, each | beside one | router | control | senders | sent | answered | p50 | p99 |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for (series, count), told in loads.items():
         vision, alone = told["vision"] / count, loads[series, 1]["vision"]
@@ -230,6 +231,7 @@ def growth_table(robots: Sequence[Mapping[str, Any]]) -> str:
             f"{vision:.1f} %",
             f"{vision / alone:.2f}",
             f"{told['router'] / count:.1f} %",
+            f"{told['control'] / count:.1f} %" if "control" in told else "",
             f"{told['senders'] / count:.1f} %",
             f"{told['sent']:.0f} %",
             f"{told['answered']:.0f} %",
