@@ -59,6 +59,7 @@ STARTED: Mapping[str, Started] = {
     "armsight record run.mcap": Started("records to", runs_s=RECORDED_S),
     "armsight record": Started("records to"),
     "armsight router": Started("", "--listen {other}"),
+    "build/vision/armsight-vision --namespace robots/a": Started("", runs_s=2.0),
     "build/vision/armsight-vision --namespace": Started(""),
     "build/vision/armsight-vision": Started("", "--connect {other}"),
     "armsight replay run.mcap --rate 0.2": Started("replays"),

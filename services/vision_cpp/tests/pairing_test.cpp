@@ -157,5 +157,46 @@ TEST(Pairing, CameraThatFallsSilentIsGivenUpAtEveryFrameRate) {
     }
 }
 
+TEST(Pairing, CompleteInstantsAreGivenOutInOrderWhileTheyAreWorthIt) {
+    Pairing pairing({"1", "2"});
+    const auto late = kStart + milliseconds{50};
+    for (const int ns : {10, 11}) {
+        for (const char* camera : {"1", "2"}) pairing.add(frame(camera, ns), ns == 10 ? kStart : late);
+    }
+    EXPECT_EQ(pairing.take(late)->capture_ns, 10);
+    EXPECT_EQ(pairing.take(late)->capture_ns, 11);
+    EXPECT_EQ(pairing.dropped(), 0U);
+}
+
+TEST(Pairing, TheNewestOfThemWinsWhenTheFirstIsTooLateToMoveAnArm) {
+    Pairing pairing({"1", "2"});
+    for (const int ns : {10, 11, 12}) {
+        for (const char* camera : {"1", "2"}) pairing.add(frame(camera, ns), kStart);
+    }
+    EXPECT_EQ(pairing.take(kStart + Pairing::kWorth)->capture_ns, 12);
+    EXPECT_EQ(pairing.dropped(), 4U);
+    EXPECT_FALSE(pairing.take(kStart + Pairing::kWorth));
+}
+
+TEST(Pairing, SaysWhenItHasSomethingToGive) {
+    Pairing pairing({"1", "2"});
+    EXPECT_FALSE(pairing.due());
+    pairing.add(frame("1", 10), kStart);
+    EXPECT_EQ(pairing.due(), kStart + Pairing::kPatience);
+    pairing.add(frame("2", 10), kStart + milliseconds{5});
+    EXPECT_LE(*pairing.due(), kStart + milliseconds{5});
+    EXPECT_TRUE(pairing.take(*pairing.due()));
+    EXPECT_FALSE(pairing.due());
+}
+
+TEST(Pairing, IsDueWhenItIsFull) {
+    Pairing pairing({"1", "2"});
+    for (std::size_t i = 0; i < Pairing::kMaxPending; ++i) {
+        pairing.add(frame("1", static_cast<std::int64_t>(i)), kStart);
+    }
+    EXPECT_EQ(pairing.due(), kStart);
+    EXPECT_TRUE(pairing.take(kStart));
+}
+
 }  // namespace
 }  // namespace armsight::vision::service

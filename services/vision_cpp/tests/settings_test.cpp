@@ -36,10 +36,10 @@ TEST_F(Environment, FlagsWinOverTheEnvironment) {
     setenv("ARMSIGHT_CONNECT", "tcp/a:1,tcp/b:2", 1);
     setenv("ARMSIGHT_NAMESPACE", "robots/left", 1);
     EXPECT_EQ(parsed({})->connect, (std::vector<std::string>{"tcp/a:1", "tcp/b:2"}));
-    EXPECT_EQ(parsed({})->name_space, "robots/left");
+    EXPECT_EQ(parsed({})->robots, std::vector<std::string>{"robots/left"});
     const auto settings = parsed({"--connect", "tcp/c:3", "--namespace", "robots/right"});
     EXPECT_EQ(settings->connect, std::vector<std::string>{"tcp/c:3"});
-    EXPECT_EQ(settings->name_space, "robots/right");
+    EXPECT_EQ(settings->robots, std::vector<std::string>{"robots/right"});
 }
 
 TEST_F(Environment, ValuesThatCannotWorkAreRefusedWithAReason) {
@@ -62,7 +62,7 @@ TEST_F(Environment, EndpointsOfEveryKindAreTaken) {
 }
 
 TEST_F(Environment, SessionIsAClientWithTheDefaultsOfAllServices) {
-    const zenoh::Config config = session_config(*parsed({}), true);
+    const zenoh::Config config = session_config(*parsed({}), "", true);
     EXPECT_EQ(config.get_json("mode"), "\"client\"");
     EXPECT_EQ(config.get_json("connect/endpoints"), "[\"tcp/127.0.0.1:7447\"]");
     EXPECT_EQ(config.get_json("namespace"), "\"robots/arm\"");
@@ -74,13 +74,13 @@ TEST_F(Environment, SessionIsAClientWithTheDefaultsOfAllServices) {
 }
 
 TEST_F(Environment, MissingConfigurationFileIsAnErrorOfOurs) {
-    EXPECT_THROW((void)session_config(*parsed({"--zenoh-config", "/nowhere.json5"}), false), ConfigError);
+    EXPECT_THROW((void)session_config(*parsed({"--zenoh-config", "/nowhere.json5"}), "", false), ConfigError);
 }
 
 TEST_F(Environment, NothingGivenLeavesTheDefaults) {
     const auto settings = parsed({});
     EXPECT_TRUE(settings->connect.empty());
-    EXPECT_EQ(settings->name_space, "");
+    EXPECT_EQ(settings->robots, std::vector<std::string>{""}) << "one robot, by the name in the file or the default";
     EXPECT_EQ(settings->zenoh_config, "");
     EXPECT_EQ(settings->log_level, "warning");
     EXPECT_TRUE(settings->shared_memory);
@@ -126,10 +126,33 @@ TEST_F(Environment, ConnectMayBeGivenAgain) {
               (std::vector<std::string>{"tcp/a:1", "tcp/b:2"}));
 }
 
+TEST_F(Environment, SeveralRobotsAreServedByFlagsOrByAListInTheEnvironment) {
+    const std::vector<std::string> both{"robots/a", "robots/b"};
+    EXPECT_EQ(parsed({"--namespace", "robots/a", "--namespace", "robots/b"})->robots, both);
+    setenv("ARMSIGHT_NAMESPACE", "robots/a,robots/b", 1);
+    EXPECT_EQ(parsed({})->robots, both);
+    EXPECT_EQ(parsed({"--namespace", "robots/c"})->robots, std::vector<std::string>{"robots/c"}) << "flags win";
+    const auto settings = parsed({});
+    EXPECT_EQ(session_config(*settings, settings->robots[1], false).get_json("namespace"), "\"robots/b\"");
+}
+
+TEST_F(Environment, EveryRobotsNameIsCheckedAndGivenOnce) {
+    EXPECT_THROW((void)parsed({"--namespace", "robots/a", "--namespace", "robots/*"}), ConfigError);
+    EXPECT_THROW((void)parsed({"--namespace", "robots/a", "--namespace", "robots/a"}), ConfigError);
+    setenv("ARMSIGHT_NAMESPACE", "robots/a,robots//b", 1);
+    EXPECT_THROW((void)parsed({}), ConfigError);
+}
+
 TEST_F(Environment, HelpIsPrintedAndNothingRuns) {
     ::testing::internal::CaptureStdout();
     EXPECT_FALSE(parsed({"--help"}));
     EXPECT_NE(::testing::internal::GetCapturedStdout().find("--namespace"), std::string::npos);
+}
+
+TEST(SharedMemory, EveryRobotBringsAPoolThatMustBeLocked) {
+    constexpr std::uint64_t kPool = 6U << 20U;  // proto/armsight/shared_memory.py
+    EXPECT_EQ(shared_memory_lock_bytes(16) - shared_memory_lock_bytes(1), 15 * kPool);
+    EXPECT_GT(shared_memory_lock_bytes(1), kPool);
 }
 
 class ConfigurationFile : public Environment {
@@ -142,19 +165,21 @@ class ConfigurationFile : public Environment {
     }
     [[nodiscard]] zenoh::Config config(std::vector<const char*> flags = {}) const {
         flags.insert(flags.end(), {"--zenoh-config", path.c_str()});
-        return session_config(*parsed(flags), false);
+        const auto settings = parsed(flags);
+        return session_config(*settings, settings->robots.front(), false);
     }
 };
 
 TEST(SharedMemory, IsLeftAloneWhereThereIsNoRoomOrNoLeave) {
     EXPECT_TRUE(may_lock(0));
-    if (!may_lock(kSharedMemoryLockBytes)) {
-        EXPECT_NE(why_no_shared_memory().find("ulimit -l"), std::string::npos);
+    if (!may_lock(shared_memory_lock_bytes(1))) {
+        EXPECT_NE(why_no_shared_memory(1).find("ulimit -l"), std::string::npos);
         return;
     }
-    EXPECT_EQ(why_no_shared_memory(std::filesystem::temp_directory_path()), "") << "a disk with room";
-    EXPECT_NE(why_no_shared_memory("/nowhere").find("can't write there"), std::string::npos);
-    EXPECT_NE(why_no_shared_memory("/proc").find("0 bytes free"), std::string::npos) << "no room for anybody's files";
+    EXPECT_EQ(why_no_shared_memory(1, std::filesystem::temp_directory_path()), "") << "a disk with room";
+    EXPECT_NE(why_no_shared_memory(1, "/nowhere").find("can't write there"), std::string::npos);
+    EXPECT_NE(why_no_shared_memory(1, "/proc").find("0 bytes free"), std::string::npos)
+        << "no room for anybody's files";
 }
 
 TEST_F(ConfigurationFile, WinsOverDefaultsAndLosesToFlags) {

@@ -33,11 +33,12 @@ std::int64_t wall_ns() {
         .count();
 }
 
-HealthReporter::HealthReporter(const zenoh::Session& session, const Counters& counters)
-    : counters_(counters),
-      publisher_(session.declare_publisher(key_for(topics::kHealth.key, "vision"), topics::kHealth.encoding,
-                                           options_of(topics::kHealth))),
-      token_(session.declare_token(key_for(topics::kHealth.key, "vision"))),
+HealthReporter::HealthReporter(const Connection& connection, const Counters& counters)
+    : robot_(connection.robot),
+      counters_(counters),
+      publisher_(connection.session.declare_publisher(key_for(topics::kHealth.key, "vision"), topics::kHealth.encoding,
+                                                      options_of(topics::kHealth))),
+      token_(connection.session.declare_token(key_for(topics::kHealth.key, "vision"))),
       instance_(random_name()),
       started_ns_(wall_ns()),
       thread_([this] { publish(); }) {}
@@ -59,7 +60,7 @@ void HealthReporter::report(v1::HealthStatus status, const std::string& detail) 
         detail_ = detail;
         is_new_ = true;
     }
-    log_info("health", {{"status", v1::HealthStatus_Name(status)}, {"detail", detail}});
+    log_info("health", {{"robot", robot_}, {"status", v1::HealthStatus_Name(status)}, {"detail", detail}});
     changed_.notify_all();
 }
 

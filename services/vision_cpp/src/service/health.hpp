@@ -9,6 +9,7 @@
 
 #include "armsight/v1/health.pb.h"
 #include "armsight/zenoh.hpp"
+#include "service/connection.hpp"
 #include "service/counters.hpp"
 
 namespace armsight::vision::service {
@@ -16,7 +17,7 @@ namespace armsight::vision::service {
 /// Publishes `health/vision` once a second, and at once when the status changes; holds the liveliness token.
 class HealthReporter {
   public:
-    HealthReporter(const zenoh::Session& session, const Counters& counters);
+    HealthReporter(const Connection& connection, const Counters& counters);
     ~HealthReporter();
     HealthReporter(const HealthReporter&) = delete;
     HealthReporter& operator=(const HealthReporter&) = delete;
@@ -33,6 +34,7 @@ class HealthReporter {
     void publish();
     [[nodiscard]] std::string message() const;
 
+    std::string robot_;
     const Counters& counters_;
     zenoh::Publisher publisher_;
     zenoh::LivelinessToken token_;

@@ -22,7 +22,7 @@ void Pairing::add(Frame frame, SteadyTime now) {
     known->second = 0;
     auto instant = std::ranges::find(pending_, frame.capture_ns, &Instant::capture_ns);
     if (instant == pending_.end()) {
-        if (pending_.size() >= kMaxPending) drop_oldest();
+        if (is_full()) drop_oldest();
         pending_.push_back({.capture_ns = frame.capture_ns, .frames = {}, .since = now});
         instant = std::prev(pending_.end());
     }
@@ -31,13 +31,22 @@ void Pairing::add(Frame frame, SteadyTime now) {
 }
 
 std::optional<Instant> Pairing::take(SteadyTime now) {
+    std::optional<std::size_t> chosen;
     for (std::size_t i = 0; i < pending_.size(); ++i) {
-        if (is_complete(pending_[i])) return remove_until(i);
+        if (!is_complete(pending_[i])) continue;
+        if (!chosen || now - pending_[*chosen].since >= kWorth) chosen = i;
     }
+    if (chosen) return remove_until(*chosen);
     // newer instants wait as well, and none is complete: what is missing will not come
-    const bool is_full = pending_.size() >= kMaxPending;
-    if (is_full || (!pending_.empty() && now - pending_.front().since >= kPatience)) return remove_until(0);
+    if (is_full() || (!pending_.empty() && now - pending_.front().since >= kPatience)) return remove_until(0);
     return std::nullopt;
+}
+
+std::optional<SteadyTime> Pairing::due() const {
+    if (pending_.empty()) return std::nullopt;
+    const bool is_now =
+        is_full() || std::ranges::any_of(pending_, [&](const Instant& one) { return is_complete(one); });
+    return pending_.front().since + (is_now ? SteadyTime::duration{} : kPatience);
 }
 
 std::vector<std::string> Pairing::gone() const {

@@ -10,10 +10,9 @@
 #include <vector>
 
 #include "armsight/vision/frame.hpp"
+#include "service/turns.hpp"
 
 namespace armsight::vision::service {
-
-using SteadyTime = std::chrono::steady_clock::time_point;
 
 /// One image as it came.
 struct Frame {
@@ -32,11 +31,14 @@ struct Instant {
 };
 
 /// Waits for the frames of one capture time to be complete; either may be lost alone. An instant that stays incomplete
-/// is given out with what is there after kPatience, or when kMaxPending of them wait. A camera that missed several
-/// instants in a row is not waited for. Not safe from several threads: the caller locks.
+/// is given out with what is there after kPatience, or when kMaxPending of them wait. Where several are complete they
+/// are given out in order, unless the first has waited for kWorth: then the newest, and those before it are dropped.
+/// A camera that missed several instants in a row is not waited for. Not safe from several threads: the caller locks.
 class Pairing {
   public:
     static constexpr std::chrono::milliseconds kPatience{250};
+    /// As long as a command is valid: an answer that is later moves no arm.
+    static constexpr std::chrono::milliseconds kWorth{100};
     static constexpr int kMissesUntilGone = 3;
     static constexpr std::size_t kMaxPending = 4;
 
@@ -48,6 +50,9 @@ class Pairing {
     /// The next instant that is complete, or has waited long enough.
     [[nodiscard]] std::optional<Instant> take(SteadyTime now);
 
+    /// From when on take() gives one, if no more frames come; nothing when none waits.
+    [[nodiscard]] std::optional<SteadyTime> due() const;
+
     /// Frames that were dropped because their partners never came, or nobody took them in time.
     [[nodiscard]] std::uint64_t dropped() const { return dropped_; }
 
@@ -56,6 +61,7 @@ class Pairing {
 
   private:
     [[nodiscard]] bool is_complete(const Instant& instant) const;
+    [[nodiscard]] bool is_full() const { return pending_.size() >= kMaxPending; }
     [[nodiscard]] Instant remove_until(std::size_t index);
     void drop_oldest();
 

@@ -12,7 +12,7 @@ namespace armsight::vision::service {
 namespace {
 
 constexpr const char* kName = "vision";
-constexpr std::chrono::milliseconds kPoll{100};  // how soon a stop is seen
+constexpr std::chrono::milliseconds kPoll{500};  // how soon a stop is seen
 
 // One question after the other, until the session or the thread ends.
 void answer_each(const zenoh::Queryable& queryable, const std::stop_token& stop,

@@ -11,16 +11,17 @@
 namespace armsight::vision::service {
 namespace {
 
-constexpr std::chrono::milliseconds kPoll{100};  // how soon a stop is seen
+constexpr std::chrono::milliseconds kPoll{500};  // how soon a stop is seen
 
 }  // namespace
 
-Reader::Reader(const zenoh::Session& session, const topics::Topic& topic, const std::string& name, Counters& counters,
+Reader::Reader(const Connection& connection, const topics::Topic& topic, const std::string& name, Counters& counters,
                Handler handler)
-    : topic_(topic),
+    : robot_(connection.robot),
+      topic_(topic),
       counters_(counters),
       handler_(std::move(handler)),
-      subscriber_(session.declare_subscriber(
+      subscriber_(connection.session.declare_subscriber(
           key_for(topic.key, name), {.capacity = topic.ring, .latched = topic.delivery == topics::Delivery::Latched})),
       thread_([this](const std::stop_token& stop) { read(stop); }) {}
 
@@ -29,9 +30,10 @@ void Reader::read(const std::stop_token& stop) {
         try {
             if (auto sample = subscriber_.recv(kPoll)) handle(std::move(*sample));
         } catch (const zenoh::ZException&) {
-            return;  // the session is closed
+            break;  // the session is closed
         }
     }
+    has_ended_ = true;
 }
 
 void Reader::handle(zenoh::Sample sample) {
@@ -47,11 +49,12 @@ void Reader::handle(zenoh::Sample sample) {
     } catch (const MalformedMessage& error) {
         const auto total = counters_.add("malformed_" + std::string(topic_.name));
         if (is_worth_a_line(total)) {
-            log_warning("ignored a malformed message", {{"key", key}, {"reason", error.what()}, {"total", total}});
+            log_warning("ignored a malformed message",
+                        {{"robot", robot_}, {"key", key}, {"reason", error.what()}, {"total", total}});
         }
     } catch (const std::exception& error) {
         counters_.add("failed_" + std::string(topic_.name));
-        log_error("handling a sample failed", {{"key", key}, {"reason", error.what()}});
+        log_error("handling a sample failed", {{"robot", robot_}, {"key", key}, {"reason", error.what()}});
     }
 }
 

@@ -1,11 +1,13 @@
 #pragma once
 
+#include <atomic>
 #include <functional>
 #include <string>
 #include <thread>
 
 #include "armsight/topics.hpp"
 #include "armsight/zenoh.hpp"
+#include "service/connection.hpp"
 #include "service/counters.hpp"
 
 namespace armsight::vision::service {
@@ -16,17 +18,24 @@ class Reader {
   public:
     using Handler = std::function<void(zenoh::Sample)>;
 
-    Reader(const zenoh::Session& session, const topics::Topic& topic, const std::string& name, Counters& counters,
+    Reader(const Connection& connection, const topics::Topic& topic, const std::string& name, Counters& counters,
            Handler handler);
+
+    /// Its thread ends soon; nobody waits for it.
+    void request_stop() { thread_.request_stop(); }
+    /// Whether nothing is waited for when this goes.
+    [[nodiscard]] bool has_ended() const { return has_ended_; }
 
   private:
     void read(const std::stop_token& stop);
     void handle(zenoh::Sample sample);
 
+    std::string robot_;
     topics::Topic topic_;
     Counters& counters_;
     Handler handler_;
     zenoh::Subscriber subscriber_;
+    std::atomic<bool> has_ended_{false};
     std::jthread thread_;  // last: it starts when all else is there and is joined before all else goes
 };
 

@@ -53,10 +53,10 @@ std::string reason(const zenoh::ZException& error) {
 
 }  // namespace
 
-zenoh::Config session_config(const Settings& settings, bool shared_memory) {
+zenoh::Config session_config(const Settings& settings, const std::string& robot, bool shared_memory) {
     zenoh::Config config;
     std::vector<std::string> connect = settings.connect;
-    std::string name_space = settings.name_space;
+    std::string name_space = robot;
     try {
         if (!settings.zenoh_config.empty()) {
             config = zenoh::Config::from_file(settings.zenoh_config);

@@ -1,6 +1,7 @@
 #include "service/settings.hpp"
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <cstdint>
 #include <cstdlib>
 #include <filesystem>
@@ -31,6 +32,15 @@ void check_namespace(const std::string& name) {
     const bool has_empty_part = name.starts_with('/') || name.ends_with('/') || name.find("//") != std::string::npos;
     if (has_empty_part || name.find_first_of("*$?#") != std::string::npos) {
         throw ConfigError("namespace '" + name + "' is not a key such as '" + kDefaultNamespace + "'");
+    }
+}
+
+void check_namespaces(const std::vector<std::string>& names) {
+    for (auto name = names.begin(); name != names.end(); ++name) {
+        check_namespace(*name);
+        if (std::find(names.begin(), name, *name) != name) {
+            throw ConfigError("namespace '" + *name + "' is given twice");
+        }
     }
 }
 
@@ -68,8 +78,10 @@ std::optional<Settings> parse_settings(int argc, const char* const* argv) {
                    "router to connect to, may be given again (environment ARMSIGHT_CONNECT, default " +
                        std::string(kDefaultEndpoint) + ")")
         ->type_name("ENDPOINT");
-    app.add_option("--namespace", settings.name_space,
-                   "the robot's name (environment ARMSIGHT_NAMESPACE, default " + std::string(kDefaultNamespace) + ")")
+    app.add_option("--namespace", settings.robots,
+                   "the robot's name, may be given again to serve several (environment ARMSIGHT_NAMESPACE, with commas "
+                   "between them, default " +
+                       std::string(kDefaultNamespace) + ")")
         ->type_name("KEY");
     app.add_option("--zenoh-config", settings.zenoh_config, "Zenoh JSON5 file (environment ARMSIGHT_ZENOH_CONFIG)")
         ->type_name("FILE");
@@ -104,7 +116,8 @@ std::optional<Settings> parse_settings(int argc, const char* const* argv) {
         throw ConfigError(std::string(error.what()) + "; see --help");
     }
     if (settings.connect.empty()) settings.connect = split(environment("ARMSIGHT_CONNECT"), ',');
-    if (settings.name_space.empty()) settings.name_space = environment("ARMSIGHT_NAMESPACE");
+    if (settings.robots.empty()) settings.robots = split(environment("ARMSIGHT_NAMESPACE"), ',');
+    if (settings.robots.empty()) settings.robots.emplace_back();
     if (settings.zenoh_config.empty()) settings.zenoh_config = environment("ARMSIGHT_ZENOH_CONFIG");
     settings.shared_memory = environment("ARMSIGHT_SHARED_MEMORY") != "off";
     if (!images.empty()) {
@@ -112,7 +125,7 @@ std::optional<Settings> parse_settings(int argc, const char* const* argv) {
         settings.files = input;
     }
     for (const std::string& endpoint : settings.connect) check_endpoint(endpoint);
-    check_namespace(settings.name_space);
+    check_namespaces(settings.robots);
     return settings;
 }
 

@@ -22,7 +22,7 @@ inline constexpr const char* kDefaultNamespace = "robots/arm";
 /// default.
 struct Settings {
     std::vector<std::string> connect;       ///< endpoints of the router; empty: the file's or the default
-    std::string name_space;                 ///< the robot's name; empty: the file's or the default
+    std::vector<std::string> robots;        ///< their names, at least one; an empty one is the file's or the default
     std::string zenoh_config;               ///< path of a Zenoh JSON5 file, or empty
     std::string log_level = "warning";      ///< debug, info, warning or error
     std::string backend = "simd";           ///< what finds the markers' pixels: simd or opencv

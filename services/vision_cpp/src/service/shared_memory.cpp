@@ -28,10 +28,9 @@ bool may_lock(std::uint64_t bytes) {
     return limit.rlim_cur == RLIM_INFINITY || limit.rlim_cur >= bytes || has_capability(kCapIpcLock);
 }
 
-std::string why_no_shared_memory(const std::string& place) {
-    if (!may_lock(kSharedMemoryLockBytes)) {
-        return "this process may lock less than " + std::to_string(kSharedMemoryLockBytes) +
-               " bytes; raise `ulimit -l` to use it";
+std::string why_no_shared_memory(std::size_t robots, const std::string& place) {
+    if (const auto bytes = shared_memory_lock_bytes(robots); !may_lock(bytes)) {
+        return "this process may lock less than " + std::to_string(bytes) + " bytes; raise `ulimit -l` to use it";
     }
     struct statvfs told{};
     if (statvfs(place.c_str(), &told) != 0 || access(place.c_str(), W_OK | X_OK) != 0) {
