@@ -12,6 +12,7 @@ from hostile import cases
 
 import faults
 from armsight import topics
+from armsight.bus import Sample
 from armsight.topics import TOPICS, Topic, encoding_of
 from armsight_operator.stack import Stack, free_port
 from armsight_operator.stack.executables import find_executable
@@ -50,46 +51,36 @@ class Attack:
     def __init__(self, rig: Rig, seed: int) -> None:
         self._rig = rig
         self._seed = seed
-        self._heard: dict[str, list[bytes]] = {topic.name: [] for topic in TOPICS}
-        ends = [
-            rig.bus.tap(topic, lambda sample: self._heard[sample.topic.name].append(sample.payload), self._any(topic))
-            for topic in TOPICS
-        ]
-        rig.wait_until(lambda: len(self._heard["camera_image"]) > 6, 20, "frames were heard")
+        self._heard: dict[str, dict[str, list[bytes]]] = {topic.name: {} for topic in TOPICS}
+        """By topic and by name in its key."""
+        ends = [rig.bus.tap(topic, self._hear, "*" if "{name}" in topic.key else None) for topic in TOPICS]
+        rig.wait_until(lambda: len(self._heard[topics.CAMERA_IMAGE.name].get(NAME, [])) > 3, 20, "frames were heard")
         for end in ends:
             end()
 
-    @staticmethod
-    def _any(topic: Topic[Any]) -> str | None:
-        return "*" if "{name}" in topic.key else None
-
-    def genuine(self, topic: Topic[Any]) -> list[bytes]:
-        return self._heard[topic.name] or [topic.message().SerializeToString()]
+    def _hear(self, sample: Sample) -> None:
+        self._heard[sample.topic.name].setdefault(sample.name, []).append(sample.payload)
 
     def run(self, topic: Topic[Any], count: int) -> None:
         random = np.random.default_rng([self._seed, TOPICS.index(topic)])
-        foreign = [heard[0] for name, heard in self._heard.items() if heard and name != topic.name]
+        genuine = [payload for said in self._heard[topic.name].values() for payload in said] or [b""]
+        foreign = [
+            payloads[0]
+            for name, said in self._heard.items()
+            for payloads in list(said.values())[:1]
+            if name != topic.name
+        ]
         key = topic.key.replace("{name}", NAME)
-        for case in cases(topic, self.genuine(topic), foreign, random, count):
+        for case in cases(topic, genuine, foreign, random, count):
             self._rig.bus.session.put(key, case.payload, encoding=case.encoding)
             time.sleep(max(EVERY_S, len(case.payload) / BYTES_A_SECOND))
 
     def make_good(self, topic: Topic[Any]) -> None:
         """As when sim starts again: what it says once, of itself and of its cameras, holds again."""
-        if topic.delivery == "latched" and topic is not topics.PARAMETERS:
-            by_name = self._rig.bus.session.put
-            for name, payload in self._said_by(topic).items():
-                by_name(topic.key.replace("{name}", name), payload, encoding=encoding_of(topic.message))
-
-    def _said_by(self, topic: Topic[Any]) -> dict[str, bytes]:
-        said: dict[str, bytes] = {}
-        for payload in self.genuine(topic):
-            message = topic.message()
-            message.ParseFromString(payload)
-            frame = getattr(message, "frame_id", "") if topic is topics.CAMERA_CALIBRATION else ""
-            frame = getattr(message, "child_frame_id", "") if topic is topics.CAMERA_POSE else frame
-            said[frame.removeprefix("camera_").removesuffix("_optical")] = payload
-        return said
+        if topic.delivery != "latched" or topic is topics.PARAMETERS:
+            return
+        for name, said in self._heard[topic.name].items():
+            self._rig.bus.session.put(topic.key_for(name or None), said[-1], encoding=encoding_of(topic.message))
 
 
 class Onlookers:
