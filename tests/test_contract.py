@@ -50,7 +50,7 @@ def uses_in_cpp(folder: Path) -> Uses:
     text = "\n".join(file.read_text(encoding="utf-8") for file in folder.glob("*.cpp"))
     patterns = {
         "publisher": r"declare_publisher\(\s*(?:key_for\()?topics::k(\w+)\.key",
-        "subscriber": r"(?:readers_\.emplace_back\(session|make_unique<Reader>\(session_), topics::k(\w+)",
+        "subscriber": r"(?:readers_\.emplace_back|make_unique<Reader>)\(connection_, topics::k(\w+)",
         "serve": r"declare_queryable\(key_for\(topics::k(\w+)Query",
         "query": r"(?:->|\.)get\(key_for\(topics::k(\w+)Query",
         "token": r"declare_token\(key_for\(topics::k(\w+)",
