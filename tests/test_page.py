@@ -176,6 +176,5 @@ def test_nobody_looks_and_nobody_listens(rig: Rig, opened: Viewer) -> None:
     again = Viewer(browser, url(rig))
     until(annotations.has_subscribers, again, "a viewer's page listens")
     assert rig.seconds_to_stop(PAGE) < 2.0, "with a viewer, too"
-    assert Path(rig.stack.log_file(PAGE)).read_text(encoding="utf-8").count("\n") == 1, (
-        "nothing but its address is logged"
-    )
+    lines = Path(rig.stack.log_file(PAGE)).read_text(encoding="utf-8").splitlines()
+    assert len([line for line in lines if "the router" not in line]) == 1, "nothing but its address is logged"

@@ -45,11 +45,14 @@ _OPEN_TIMEOUT_MS = 2500
 # What a sender may have on its way. Left to itself Linux takes up to 4 MB of frames: where a link falls to 1 Mbit/s
 # that is half a minute's worth, and with BBR, which stays at that pace, the arm went on up to 8 s after the link was
 # fast again. An endpoint can say more, for frames over a long way: tls/HOST:PORT#so_sndbuf=4194304.
-_SEND_BUFFER_BYTES = 262144
+_SEND_BUFFER_BYTES = 131072
 
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 _HINT_AFTER_ATTEMPTS = 4
+
+# Errors, but not of what arrives for a subscription that has just ended, which happens at every end.
+_ZENOH_LOG = "error,zenoh::api::session=off"
 
 _TLS_FILES = (
     "root_ca_certificate",
@@ -248,13 +251,13 @@ def _log_to_stderr() -> None:
     Descriptor 1 becomes stderr, and what Python prints goes on to where it pointed.
     """
     if sys.stdout is not sys.__stdout__ or sys.stdout is None:  # replaced: done before, or somebody captures it
-        zenoh.init_log_from_env_or("error")
+        zenoh.init_log_from_env_or(_ZENOH_LOG)
         return
     sys.stdout.flush()
     stdout = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, buffering=1)
     os.dup2(2, 1)
     sys.stdout = stdout
-    zenoh.init_log_from_env_or("error")
+    zenoh.init_log_from_env_or(_ZENOH_LOG)
 
 
 def _put_shared_memory(put, use: Use) -> None:  # type: ignore[no-untyped-def]
