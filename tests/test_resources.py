@@ -18,7 +18,7 @@ from armsight_operator.stack import Stack
 from armsight_operator.stack.executables import find_executable
 from rig import SERVICES, Rig, started
 
-SECONDS = 5.0
+SECONDS = 3.0
 AGAIN_S = 2.0
 """The arm moves by then, from the moment that what ran out is there again."""
 
