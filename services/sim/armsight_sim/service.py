@@ -160,7 +160,7 @@ class Simulation:
         if self._noise is not None:
             images = [self._noise.add(image) for image in images]
         self._encoded = [
-            encode_rgb8(memoryview(image).cast("B"), width, height, frame_id, capture_ns)
+            encode_rgb8(image.data.cast("B"), width, height, frame_id, capture_ns)
             for image, frame_id, (width, height) in zip(images, self._frame_ids, self._sizes, strict=True)
         ]
         rendered = time.monotonic()
