@@ -1,30 +1,25 @@
 """Robots that are filmed: frames of a snapshot, sent again and again under the names of several robots."""
 
 import multiprocessing
-import struct
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from multiprocessing.sharedctypes import Synchronized
 from multiprocessing.synchronize import Event
-from typing import Literal
 
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from running import bus_of
 
 from armsight import topics
-from armsight.bus import Bus, open_bus
-from armsight.images import encode_rgb8
-from armsight.session import SessionConfig, open_session
+from armsight.bus import Bus
+from armsight.images import encode_rgb8, encode_sent
+from armsight.shared_memory import Use
 from armsight.times import wall_ns
 from armsight_operator.picture import Snapshot, take_snapshot
 from armsight_operator.stack import Stack
 
-Memory = Literal["off", "read", "publish"]
-
 _SENDERS = 2
-_STAMP = struct.Struct("<Q")
 _SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -38,16 +33,6 @@ class Senders:
     def sent(self) -> int:
         """Instants that were sent so far, of all robots."""
         return sum(each.value for each in self._sent)
-
-
-@contextmanager
-def bus_of(endpoint: str, namespace: str, shared_memory: Memory = "off") -> Iterator[Bus]:
-    """A place on one robot's bus."""
-    config = SessionConfig(endpoints=(endpoint,), namespace=namespace, shared_memory=shared_memory)
-    session = open_session(config, threading.Event())
-    assert session is not None
-    with open_bus(session) as bus:
-        yield bus
 
 
 def snapshot() -> Snapshot:
@@ -65,7 +50,7 @@ def filmed(
 ) -> Iterator[Senders]:
     """Other processes send the snapshot's frames under each of the names, that often and in turn within a period."""
     done = _SPAWN.Event()
-    memory: Memory = "publish" if shared_memory else "off"
+    memory: Use = "publish" if shared_memory else "off"
     shares = [namespaces[first::_SENDERS] for first in range(min(_SENDERS, len(namespaces)))]
     counts: tuple[Synchronized[int], ...] = tuple(_SPAWN.Value("q", 0) for _ in shares)
     packed = _packed(taken)
@@ -118,7 +103,7 @@ class _Robot:
         capture_ns = wall_ns()
         for publisher, image in self._frames.values():
             encoded = encode_rgb8(image.data, image.width, image.height, image.frame_id, capture_ns)
-            publisher.put_bytes(encoded, _STAMP.pack(wall_ns()))
+            publisher.put_bytes(encoded, encode_sent(wall_ns()))
 
 
 def _film(
@@ -126,7 +111,7 @@ def _film(
     namespaces: Sequence[str],
     packed: _Packed,
     rate_hz: float,
-    memory: Memory,
+    memory: Use,
     sent: "Synchronized[int]",
     done: Event,
 ) -> None:

@@ -10,12 +10,11 @@ import socket
 import statistics
 import subprocess
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
-from filmed import bus_of
 from processes import memory, processor_s
+from running import bus_of, until
 
 from armsight import topics
 from armsight.bus import Bus
@@ -26,23 +25,8 @@ from results import Result, publish
 SERVICES = ("sim", "vision", "control")
 ROUNDS = 3
 LIGHT = "closed-form"
-WELL_S = 60.0
 LOOP_SECONDS = 20.0
-POLL_S = 0.005
 IMAGES = ("sim", "vision", "control", "camera", "operator")
-
-
-def until(condition: Callable[[], bool], what: str) -> None:
-    """Waits, and looks often: what is timed ends here.
-
-    Raises:
-        RuntimeError: it does not become true.
-    """
-    deadline = time.monotonic() + WELL_S
-    while not condition():
-        if time.monotonic() > deadline:
-            raise RuntimeError(f"not within {WELL_S:g} s: {what}")
-        time.sleep(POLL_S)
 
 
 def listens(port: int) -> bool:

@@ -7,11 +7,11 @@ control and whoever looks. What is counted are bytes on the cable in both direct
 import os
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from filmed import bus_of
+from running import bus_of, until
 
 from armsight import topics
 from armsight.bus import Bus, Received
@@ -99,19 +99,6 @@ def measure(what: str, loop: Loop) -> list[Result]:
             for p in (50, 99)
         ]
     return rows
-
-
-def until(condition: Callable[[], bool], what: str) -> None:
-    """Waits.
-
-    Raises:
-        RuntimeError: it does not become true.
-    """
-    deadline = time.monotonic() + READY_S
-    while not condition():
-        if time.monotonic() > deadline:
-            raise RuntimeError(f"not within {READY_S:g} s: {what}")
-        time.sleep(0.1)
 
 
 @contextmanager

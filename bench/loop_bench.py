@@ -7,14 +7,14 @@ beside rendering alone.
 import contextlib
 import os
 import signal
-import threading
 import time
-from collections.abc import Iterator
+
+from running import bus_of, until
 
 from armsight import topics
-from armsight.bus import Bus, Received, open_bus
+from armsight.bus import Received
 from armsight.images import encode_rgb8
-from armsight.session import SessionConfig, open_session
+from armsight.shared_memory import Use
 from armsight.times import from_timestamp, to_timestamp
 from armsight.topics import SERVICES
 from armsight.v1.control_pb2 import CONTROL_STATE_MOVING, ControlStatus
@@ -46,15 +46,6 @@ CONTROL_MODES = (
 CONTROL_SECONDS = 20.0
 
 
-@contextlib.contextmanager
-def bus_of(stack: Stack) -> Iterator[Bus]:
-    """A place on a stack's bus."""
-    session = open_session(SessionConfig(endpoints=(stack.endpoint,), shared_memory="off"), threading.Event())
-    assert session is not None
-    with open_bus(session) as bus:
-        yield bus
-
-
 def watch(stack: Stack, seconds: float) -> tuple[dict[int, StageTimes], float]:
     """Starts the services beside a router that runs, and stops them; in between listens to what control answers.
 
@@ -67,7 +58,7 @@ def watch(stack: Stack, seconds: float) -> tuple[dict[int, StageTimes], float]:
     def keep(received: Received[ControlStatus]) -> None:
         stages[from_timestamp(received.message.capture_time)] = received.message.stages
 
-    with bus_of(stack) as bus:
+    with bus_of(stack.endpoint, stack.namespace) as bus:
         for name in SERVICES:
             stack.start(name)
         wait_ready(Monitor(bus))
@@ -112,24 +103,20 @@ class Sender:
 
     def __init__(self, stack: Stack, shared_memory: bool, closing: contextlib.ExitStack) -> None:
         """Ends sim once the arm moves, and has what it said last."""
-        bus = closing.enter_context(bus_of(stack))
+        bus = closing.enter_context(bus_of(stack.endpoint, stack.namespace))
         accepted, target = bus.subscriber(topics.JOINTS_ACCEPTED), bus.subscriber(topics.TARGET)
         status = bus.subscriber(topics.CONTROL_STATUS)
-        deadline = time.monotonic() + 40.0
-        while status.latest is None or status.latest.message.state != CONTROL_STATE_MOVING:
-            if time.monotonic() > deadline:
-                raise RuntimeError("the arm does not move")
-            time.sleep(0.05)
+        until(
+            lambda: status.latest is not None and status.latest.message.state == CONTROL_STATE_MOVING, "the arm moves"
+        )
         self._snapshot = take_snapshot(bus, timeout_s=20.0)
         latest_accepted, latest_target = accepted.latest, target.latest
         if latest_accepted is None or latest_target is None:
             raise RuntimeError("sim says neither setpoint nor target")
         self._target = latest_target.message
         stack.kill("sim", signal.SIGKILL)
-        config = SessionConfig(endpoints=(stack.endpoint,), shared_memory="publish" if shared_memory else "off")
-        session = open_session(config, threading.Event())
-        assert session is not None
-        sending = closing.enter_context(open_bus(session))
+        memory: Use = "publish" if shared_memory else "off"
+        sending = closing.enter_context(bus_of(stack.endpoint, stack.namespace, memory))
         self._frames = {name: sending.publisher(topics.CAMERA_IMAGE, name) for name in self._snapshot.cameras}
         self._clock, self._targets = sending.publisher(topics.CLOCK), sending.publisher(topics.TARGET)
         sending.publisher(topics.JOINTS_ACCEPTED).put(latest_accepted.message)
@@ -180,17 +167,8 @@ def measure_recorded(shared_memory: bool) -> list[Result]:
     title, results = f"{name}, recorded frames: published to command received", []
     for percent, factor, more_ms in ((50, 1.0, 2.0), (99, 1.5, 4.0)):
         value, reference = percentile(sender.taken_ms, percent), percentile(echo, percent)
-        results.append(
-            Result(
-                f"{title}, p{percent}",
-                value,
-                "ms",
-                f"echo p{percent}",
-                value / reference,
-                f"<= {factor:g} x + {more_ms:g} ms",
-                value <= factor * reference + more_ms,
-            )
-        )
+        against = f"echo p{percent}"
+        results.append(compare(f"{title}, p{percent}", value, "ms", against, reference, most=factor, and_more=more_ms))
         results.append(Result(f"{name}, echo, p{percent}", reference, "ms", "", None, "", None))
     return results
 
@@ -207,7 +185,7 @@ def measure_vision() -> list[Result]:
     with Stack(target="none", mode="hold") as stack, contextlib.ExitStack() as closing:
         for name in ("router", "sim", "vision"):
             stack.start(name)
-        bus = closing.enter_context(bus_of(stack))
+        bus = closing.enter_context(bus_of(stack.endpoint, stack.namespace))
         snapshot = take_snapshot(bus, timeout_s=20.0)
         positions = bus.subscriber(topics.JOINT_POSITIONS)
         if positions.recv(20.0) is None:
@@ -261,7 +239,7 @@ def measure_lockstep() -> list[Result]:
         alone = renders_a_second(samples)
         rate = len(stages) / LOCKSTEP_SECONDS
         title = f"lockstep, {samples} samples a pixel"
-        results.append(Result(title, rate, "Hz", "rendering alone", rate / alone, ">= 0.85 x", rate >= 0.85 * alone))
+        results.append(compare(title, rate, "Hz", "rendering alone", alone, least=0.85))
     return results
 
 

@@ -29,14 +29,36 @@ class Result:
 
 
 def compare(
-    name: str, value: float, unit: str, reference: str, reference_value: float, *, most: float | None = None
+    name: str,
+    value: float,
+    unit: str,
+    reference: str,
+    reference_value: float,
+    *,
+    most: float | None = None,
+    and_more: float = 0.0,
+    least: float | None = None,
 ) -> Result:
-    """A figure beside a reference; ``most`` is what was promised of their ratio, if anything was."""
+    """A figure beside a reference, and what was promised of their ratio, if anything was.
+
+    Args:
+        name: of the figure.
+        value: its value.
+        unit: of both.
+        reference: what it is compared with.
+        reference_value: its value.
+        most: what the ratio may be.
+        and_more: what the figure may have beside that, in its unit.
+        least: what the ratio must be.
+    """
     ratio = value / reference_value
+    if least is not None:
+        return Result(name, value, unit, reference, ratio, f">= {least:g} x", ratio >= least)
     if most is None:
         return Result(name, value, unit, reference, ratio, "", None)
     text = f"<= {most:g} x" if most >= 1 else f"<= 1/{1 / most:g}"
-    return Result(name, value, unit, reference, ratio, text, ratio <= most)
+    text += f" + {and_more:g} {unit}" if and_more else ""
+    return Result(name, value, unit, reference, ratio, text, value <= most * reference_value + and_more)
 
 
 def at_most(name: str, value: float, unit: str, bar: float) -> Result:

@@ -12,8 +12,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from filmed import bus_of, filmed, snapshot
+from filmed import filmed, snapshot
 from processes import processor_s
+from running import bus_of
 
 from armsight import topics
 from armsight.bus import Received

@@ -18,11 +18,9 @@ from armsight_operator.recording.invariants import check, health_showed
 from armsight_operator.recording.reader import Recording
 from armsight_operator.recording.timeline import WANTED, State, Timeline, timeline_of
 from armsight_operator.stack.executables import find_executable
-from rig import SERVICES, Rig
+from rig import MOVING_RAD_S, SERVICES, Rig
 
 ALL = ("router", *SERVICES)
-MOVING_RAD_S = 0.01
-"""As the rig has it."""
 
 RESULTS = "ARMSIGHT_RECOVERY_RESULTS"
 """Environment variable: a file to which the suites add what they measured; nothing is written without it."""
@@ -133,6 +131,16 @@ def _is_new(rig: Rig, name: str, old: str) -> bool:
     return rig.health(name).instance != old and rig.health(name).status == HEALTH_STATUS_OK
 
 
+def judged(path: Path, done: Sequence[Fault]) -> tuple[Timeline, list[Recovery]]:
+    """What was recorded, which breaks no promise, and what each fault cost, which is told."""
+    recorded = timeline(path)
+    recoveries = [recovery(recorded, fault) for fault in done]
+    print(*recoveries, sep="\n")
+    tell(recoveries)
+    assert_no_violation(recorded)
+    return recorded, recoveries
+
+
 def timeline(path: Path) -> Timeline:
     """What was recorded."""
     return timeline_of(Recording(path).messages(WANTED))
@@ -147,7 +155,6 @@ def assert_no_violation(recorded: Timeline) -> None:
 
 def assert_health_showed(recorded: Timeline, fault: Fault) -> None:
     shown = {name: health_showed(recorded, name, fault.began_ns, fault.over_ns) for name in SERVICES}
-    # the router has no health of its own: whoever loses it says so
     # nobody has the router's: whoever loses it says so, and all fall silent while it stands still
     seen_by = SERVICES if "router" in fault.victims else fault.victims
     unseen = [name for name in seen_by if not shown[name]]

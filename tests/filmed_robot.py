@@ -1,7 +1,6 @@
 """A robot without a simulation: an arm that rests before two small cameras, filmed as often as is asked for."""
 
 import multiprocessing
-import struct
 import threading
 import time
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ import numpy as np
 
 from armsight import topics
 from armsight.bus import Bus, Received, open_bus
-from armsight.images import encode_rgb8
+from armsight.images import encode_rgb8, encode_sent
 from armsight.session import SessionConfig, open_session
 from armsight.times import from_timestamp, wall_ns
 from armsight.v1.health_pb2 import Health
@@ -26,7 +25,6 @@ _CAMERAS = (
     Camera("2", np.array([0.0, -13.0, 5.5]), np.array([0.0, 0.0, 4.5]), 320, 240, 1.2),
 )
 _POSE = np.array([0.0, 0.0, 0.7, 0.6])
-_STAMP = struct.Struct("<Q")
 _SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -64,7 +62,7 @@ class FilmedRobot:
         self.asked[capture_ns] = time.monotonic()
         for camera in _CAMERAS:
             encoded = encode_rgb8(self._pixels[camera.name], camera.width, camera.height, camera.frame_id, capture_ns)
-            self._images[camera.name].put_bytes(encoded, _STAMP.pack(capture_ns))
+            self._images[camera.name].put_bytes(encoded, encode_sent(capture_ns))
 
     def film_for(self, seconds: float, rate_hz: float) -> None:
         """That often, by the clock: whoever is slow is not waited for."""

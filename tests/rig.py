@@ -31,7 +31,7 @@ SERVICES = ("sim", "vision", "control")
 _RECORDED = (topics.JOINT_POSITIONS, topics.JOINT_COMMAND, topics.JOINTS_TRUE)
 
 # Faster than a controller at rest lets any joint creep, slower than any motion that the tests ask for.
-_MOVING_RAD_S = 0.01
+MOVING_RAD_S = 0.01
 
 
 class Truth:
@@ -94,20 +94,14 @@ class Rig:
     @contextmanager
     def supervised(self) -> Iterator[None]:
         """Who dies by itself is started again, as `armsight up` and Docker Compose do; it is printed."""
-        supervisor, done = Supervisor(self.stack), threading.Event()
+        supervisor = Supervisor(self.stack)
 
         def watch() -> None:
-            while not done.wait(0.1):
-                for death in supervisor.poll():
-                    print(death)
+            for death in supervisor.poll():
+                print(death)
 
-        thread = threading.Thread(target=watch, daemon=True)
-        thread.start()
-        try:
+        with again_and_again(watch):
             yield
-        finally:
-            done.set()
-            thread.join()
 
     def close(self) -> None:
         if self._bus is not None:
@@ -213,21 +207,10 @@ class Rig:
     @contextmanager
     def publishing_target(self, target: Sequence[float]) -> Iterator[None]:
         publisher = self.bus.publisher(topics.TARGET)
-        done = threading.Event()
-
-        def publish() -> None:
-            message = Point3InFrame(frame_id="base")
-            message.point.x, message.point.y, message.point.z = target
-            while not done.wait(0.1):
-                publisher.put(message)
-
-        thread = threading.Thread(target=publish, daemon=True)
-        thread.start()
-        try:
+        message = Point3InFrame(frame_id="base")
+        message.point.x, message.point.y, message.point.z = target
+        with again_and_again(lambda: publisher.put(message)):
             yield
-        finally:
-            done.set()
-            thread.join()
 
     # watching
 
@@ -244,7 +227,7 @@ class Rig:
         latest = self._truth.latest
         if latest is None or time.monotonic() - latest.received_s > 0.5:
             return False
-        return max(abs(joint.velocity) for joint in latest.message.joints) > _MOVING_RAD_S
+        return max(abs(joint.velocity) for joint in latest.message.joints) > MOVING_RAD_S
 
     def moved_since(self, wall_ns: int) -> bool:
         """Whether the arm moves, and that was heard after a time of the wall clock."""
@@ -318,6 +301,24 @@ class Rig:
         latest = self._truth.latest
         assert latest is not None
         return latest.message
+
+
+@contextmanager
+def again_and_again(do: Callable[[], None], every_s: float = 0.1) -> Iterator[None]:
+    """Something is done every so often meanwhile, beside the test."""
+    done = threading.Event()
+
+    def repeat() -> None:
+        while not done.wait(every_s):
+            do()
+
+    thread = threading.Thread(target=repeat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
 
 
 @contextmanager

@@ -58,11 +58,7 @@ def run(rig: Rig, path: Path, plan: Sequence[tuple[Do, Sequence[str]]], seed: in
         rig.wait_ready()
         rig.wait_until(rig.moving, 20, "the arm moves in the end")
     # invariants
-    recorded = faults.timeline(path)
-    recoveries = [faults.recovery(recorded, fault) for fault in done]
-    print(*recoveries, sep="\n")
-    faults.tell(recoveries)
-    faults.assert_no_violation(recorded)
+    recorded, recoveries = faults.judged(path, done)
     for fault in done:
         faults.assert_health_showed(recorded, fault)
     late = [each for each, fault in zip(recoveries, done, strict=True) if each.recovery_s > bar_s(fault)]

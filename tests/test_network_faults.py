@@ -120,11 +120,7 @@ def run(spread: tuple[Rig, Network], path: Path, harm: Harm, times: int, seed: i
         rig.wait_until(rig.moving, 20, "the arm moves in the end")
     # invariants
     assert rig.instances() == before, "a service was started anew"
-    recorded = faults.timeline(path)
-    recoveries = [faults.recovery(recorded, fault) for fault in done]
-    print(*recoveries, sep="\n")
-    faults.tell(recoveries)
-    faults.assert_no_violation(recorded)
+    recorded, recoveries = faults.judged(path, done)
     for fault in done:
         faults.assert_some_health_showed(recorded, fault)
     assert [each for each in recoveries if each.recovery_s > AGAIN_S] == [], f"seed {seed}"

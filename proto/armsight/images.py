@@ -1,9 +1,12 @@
 """Encoding of camera frames: protobuf's own way of it copies the pixels twice and takes twenty times as long."""
 
+import struct
+
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from armsight.times import to_timestamp
 
+_SENT = struct.Struct("<Q")
 _DATA_TAG = bytes([(RawImage.DATA_FIELD_NUMBER << 3) | 2])
 
 
@@ -31,6 +34,11 @@ def encode_rgb8(pixels: bytes | memoryview, width: int, height: int, frame_id: s
         step=width * 3,
     )
     return b"".join((head.SerializeToString(), _DATA_TAG, _varint(len(pixels)), pixels))
+
+
+def encode_sent(ns: int) -> bytes:
+    """What goes beside a frame: when it was sent, by the sender's wall clock, Unix nanoseconds."""
+    return _SENT.pack(ns)
 
 
 def _varint(value: int) -> bytes:

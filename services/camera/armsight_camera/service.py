@@ -2,7 +2,6 @@
 
 import logging
 import queue
-import struct
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -10,7 +9,7 @@ from functools import partial
 
 from armsight import topics
 from armsight.bus import Received
-from armsight.images import encode_rgb8
+from armsight.images import encode_rgb8, encode_sent
 from armsight.parameters import Tunable, Value
 from armsight.service import Context
 from armsight.times import NS_PER_S, from_duration, from_timestamp, to_timestamp, wall_ns
@@ -36,7 +35,6 @@ _WAITING_FRAMES = 4
 _LATELY = 60
 """Instants by which it is told whether the cameras' frames come together."""
 _MS = 1_000_000
-_STAMP = struct.Struct("<Q")
 
 _APART = (
     "most frames of the cameras are farther apart than --max-skew-ms and go out alone: raise it, or trigger the "
@@ -181,7 +179,7 @@ class Cameras:
             height, width, _ = image.shape
             frame_id = self._settings.known[name].frame_id
             encoded = encode_rgb8(image.reshape(-1).data, width, height, frame_id, capture_ns)
-            self._images[name].put_bytes(encoded, _STAMP.pack(wall_ns()))
+            self._images[name].put_bytes(encoded, encode_sent(wall_ns()))
         counters.add("frames_sent", len(instant.frames))
         if len(self._images) > 1:
             alone = len(instant.frames) == 1

@@ -1,7 +1,6 @@
 """The simulation on the bus: frames out, commands in."""
 
 import queue
-import struct
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -17,7 +16,7 @@ from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 from armsight import topics
 from armsight.bus import Received
 from armsight.calibration import KnownCamera, optical_frame, recoloured
-from armsight.images import encode_rgb8
+from armsight.images import encode_rgb8, encode_sent
 from armsight.parameters import Value
 from armsight.schema import descriptor_set
 from armsight.service import Context
@@ -47,7 +46,6 @@ _IDLE_S = 0.05
 """How often a waiting loop looks whether it should stop, and at heartbeats."""
 
 _REFUSAL_SHOWN_S = 5.0
-_STAMP = struct.Struct("<Q")
 _VISIBLE_GROUP = 3
 _OWN_TARGETS = 64
 """Capture times that are remembered to tell our own targets from others: two seconds of them."""
@@ -170,7 +168,7 @@ class Simulation:
 
     def _send_frames(self) -> None:
         for publisher, encoded in zip(self._images, self._encoded, strict=True):
-            publisher.put_bytes(encoded, _STAMP.pack(wall_ns()))
+            publisher.put_bytes(encoded, encode_sent(wall_ns()))
         self._lockstep.sent(self._motion.capture_ns, time.monotonic())
 
     def _publish_state(self, capture_ns: int) -> None:
@@ -200,10 +198,12 @@ class Simulation:
 
     def _target_from_elsewhere(self, received: Received[Point3InFrame]) -> None:
         """Somebody else has a target for the arm: the demonstration ends, or the two would pull it to and fro."""
+        if from_timestamp(received.message.timestamp) in self._own_targets:
+            return
         point = received.message.point
         if not np.isfinite([point.x, point.y, point.z]).all():  # nobody goes there
             self._context.bus.counters.add("target_refused")
-        elif from_timestamp(received.message.timestamp) not in self._own_targets:
+        else:
             self._shows_target = False
 
     def _publish_accepted(self, capture_ns: int) -> None:

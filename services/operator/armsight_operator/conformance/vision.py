@@ -1,6 +1,5 @@
 """Checks of a vision: sim is played by frames of the suite's own drawing, one instant after the other is answered."""
 
-import struct
 import time
 
 import numpy as np
@@ -8,7 +7,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from armsight import topics
 from armsight.bus import Bus
-from armsight.images import encode_rgb8
+from armsight.images import encode_rgb8, encode_sent
 from armsight.times import from_timestamp, to_timestamp, wall_ns
 from armsight.v1.joints_pb2 import (
     MARKER_STATUS_LOST,
@@ -47,8 +46,6 @@ _POSES = (
 )
 _WRONG_SIZES = ((0, 0, 0), (640, 480, 100), (64, 48, 64 * 48 * 3))
 """Columns, rows, bytes: nothing, too few, another size than was calibrated."""
-
-_STAMP = struct.Struct("<Q")
 
 
 class Frames:
@@ -94,7 +91,7 @@ class Frames:
         ]
         self._clock.put(Clock(capture_time=to_timestamp(self._capture_ns), mode=CLOCK_MODE_LOCKSTEP))
         for name, encoded in zip(cameras, drawn, strict=True):
-            self._images[name].put_bytes(encoded, _STAMP.pack(wall_ns()))
+            self._images[name].put_bytes(encoded, encode_sent(wall_ns()))
 
     def _drawn_by(self, camera: Camera, balls: list[Ball]) -> bytes:
         key = camera.name, tuple((ball.name, ball.centre.tobytes()) for ball in balls)

@@ -4,7 +4,6 @@ At a rate, message after message as it came; or in lockstep, where each instant 
 the same frames give the same positions, bit for bit.
 """
 
-import struct
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -16,6 +15,7 @@ from google.protobuf.empty_pb2 import Empty
 
 from armsight.bus import Bus, Publisher, Subscriber
 from armsight.errors import ConfigError, NoReplyError
+from armsight.images import encode_sent
 from armsight.times import from_timestamp, wall_ns
 from armsight.topics import (
     ASK_PARAMETERS,
@@ -34,9 +34,6 @@ from armsight_operator.recording.reader import Entry, Recording, topic_of
 
 GUARDED = (JOINT_COMMAND, JOINTS_ACCEPTED, STOP_STATE, HEALTH)
 """Never replayed unasked: they move an arm, tell control where it is, say whether it is stopped, and who is well."""
-
-_SENT = struct.Struct("<Q")
-"""Beside each frame: when it was sent, by the sender's wall clock in nanoseconds. As sim has it."""
 
 _LISTENERS_S = 2.0
 _LOCKSTEP_LISTENERS_S = 30.0
@@ -286,7 +283,7 @@ class Replay:
                     self._put(entry, None)
 
     def _put(self, entry: Entry, played: Played | None) -> None:
-        attachment = _SENT.pack(wall_ns()) if self._topics[entry.key] is CAMERA_IMAGE else None
+        attachment = encode_sent(wall_ns()) if self._topics[entry.key] is CAMERA_IMAGE else None
         self._publishers[entry.key].put_bytes(entry.payload, attachment)
         if played is not None:
             played.messages += 1
