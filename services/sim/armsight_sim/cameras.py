@@ -39,6 +39,7 @@ class Cameras:
         samples: int,
         *,
         emissive: bool = False,
+        groups: Sequence[int] = (),
     ) -> None:
         """Allocates the contexts.
 
@@ -49,6 +50,7 @@ class Cameras:
             height: rows of these.
             samples: per pixel, 0 or 4 (software GL gives no more).
             emissive: spheres with a material shine evenly, whatever the light.
+            groups: of geoms that are drawn beside those that MuJoCo shows by itself.
         """
         self._names = tuple(names)
         drawn = copy.copy(model)
@@ -68,33 +70,31 @@ class Cameras:
         self._drawn = drawn
         self._renderers = {size: mujoco.Renderer(drawn, size[1], size[0]) for size in dict.fromkeys(self.sizes)}
         self._options = mujoco.MjvOption()
+        self._options.geomgroup[list(groups)] = 1
         flags = mujoco.mjtRndFlag
         # shadows alone cost six times the rest; the backdrops stand in place of sky and haze
         for flag in (flags.mjRND_SHADOW, flags.mjRND_REFLECTION, flags.mjRND_HAZE, flags.mjRND_FOG, flags.mjRND_SKYBOX):
             for renderer in self._renderers.values():
                 renderer.scene.flags[flag] = 0
 
-    def show_group(self, group: int) -> None:
-        """Draws the geoms of one more group (the visible target's)."""
-        self._options.geomgroup[group] = 1
-
     def light(self, ambient: float) -> None:
         """Sets the brightness of the ambient light, 0 to 1."""
         self._drawn.vis.headlight.ambient[:] = ambient
 
-    def draw(self, data: mujoco.MjData) -> list[Image]:
-        """One rgb8 image for each camera, the top row first."""
-        return [self._draw(data, name, size) for name, size in zip(self._names, self.sizes, strict=True)]
+    def draw(self, data: mujoco.MjData, into: Sequence[Image] | None = None) -> list[Image]:
+        """One rgb8 image for each camera, the top row first: new ones, or those given, (rows, columns, 3)."""
+        places = [None] * len(self._names) if into is None else into
+        return [self._draw(data, *each) for each in zip(self._names, self.sizes, places, strict=True)]
 
     def close(self) -> None:
         """Frees the contexts; OSMesa's fail at exit when they are left to the interpreter."""
         for renderer in self._renderers.values():
             renderer.close()
 
-    def _draw(self, data: mujoco.MjData, name: str, size: tuple[int, int]) -> Image:
+    def _draw(self, data: mujoco.MjData, name: str, size: tuple[int, int], into: Image | None) -> Image:
         renderer = self._renderers[size]
         renderer.update_scene(data, name, self._options)
-        image: Image = renderer.render()
+        image: Image = renderer.render(out=into)
         return image
 
 

@@ -19,9 +19,12 @@ def main() -> int:
     arguments = argument_parser().parse_args()
     try:
         settings = parse_settings(arguments)
-        gl = ""
+        gl = None
         if not arguments.health:
-            gl = draw_nothing() if settings.external_cameras else choose_gl()
+            if settings.external_cameras:
+                draw_nothing()
+            else:
+                gl = choose_gl()
             check_model(settings)
     except ArmsightError as error:
         print(f"sim: {error}", file=sys.stderr)
@@ -30,10 +33,10 @@ def main() -> int:
     def body(context: Context) -> None:
         from armsight_sim.service import Simulation  # imports MuJoCo: not before choose_gl
 
-        log.info("drawing off screen", extra={"gl": gl})
         drawing = f"drawing by {gl}" if gl else "drawing nothing"
+        log.info(drawing)
         context.health.report(HEALTH_STATUS_WAITING, f"loading the model, {drawing}")
-        Simulation(context, settings).run()
+        Simulation(context, settings, is_software=gl is not None and gl.is_software).run()
 
     # of the frames' memory there is one: it is made by who has the cameras
     memory: Use = "read" if settings.external_cameras else "publish"

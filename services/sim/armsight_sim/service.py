@@ -1,5 +1,6 @@
 """The simulation on the bus: frames out, commands in."""
 
+import os
 import queue
 import time
 from collections import deque
@@ -32,6 +33,7 @@ from armsight_sim.clock import ClockMode, Instants, Lockstep, Pacer
 from armsight_sim.commands import Verdict
 from armsight_sim.errors import SimError
 from armsight_sim.motion import Motion
+from armsight_sim.painters import Painters
 from armsight_sim.recalibration import recalibration_of
 from armsight_sim.settings import Settings
 from armsight_sim.stop import StopRequestError, StopSources
@@ -54,8 +56,15 @@ _OWN_TARGETS = 64
 class Simulation:
     """Owns the world; everything that touches it runs in the thread of :meth:`run`, requests come through a queue."""
 
-    def __init__(self, context: Context, settings: Settings) -> None:
-        """Declares everything on the bus; frames start with :meth:`run`."""
+    def __init__(self, context: Context, settings: Settings, *, is_software: bool) -> None:
+        """Declares everything on the bus; frames start with :meth:`run`.
+
+        Args:
+            context: of the service.
+            settings: checked.
+            is_software: whether OpenGL is drawn by the processor.
+        """
+        self._is_software = is_software
         self._context, self._settings, bus = context, settings, context.bus
         described, external = load_model(settings.model), settings.external_cameras
         model = longer_links(described, settings.model_error)
@@ -126,12 +135,28 @@ class Simulation:
         finally:
             self._cameras.close()
 
-    def _new_cameras(self, settings: Settings) -> Cameras:
-        width, height, emissive = settings.width, settings.height, settings.emissive
-        cameras = Cameras(self._model, self._names, width, height, settings.samples, emissive=emissive)
-        if self._bodies is not None:
-            cameras.show_group(_VISIBLE_GROUP)
-        return cameras
+    def _new_cameras(self, settings: Settings) -> Cameras | Painters:
+        size, emissive = (settings.width, settings.height), settings.emissive
+        groups = () if self._bodies is None else (_VISIBLE_GROUP,)
+        painters = settings.painters if settings.painters is not None else self._usual_painters()
+        if not painters:
+            return Cameras(self._model, self._names, *size, settings.samples, emissive=emissive, groups=groups)
+        return Painters(
+            self._model,
+            self._names,
+            *size,
+            settings.samples,
+            emissive=emissive,
+            groups=groups,
+            painters=painters,
+            counters=self._context.bus.counters,
+        )
+
+    def _usual_painters(self) -> int:
+        """As many as can work at a time, where pictures are what everything waits for and no GPU draws them."""
+        count = min(len(self._names), len(os.sched_getaffinity(0)))
+        hurries = self._settings.clock is ClockMode.LOCKSTEP and self._is_software
+        return count if hurries and count > 1 else 0
 
     def _new_noise(self, settings: Settings) -> Noise | None:
         size = max((width * height for width, height in self._sizes), default=0) * 3

@@ -23,6 +23,7 @@ MIN_FPS, MAX_FPS = 15, 240
 """Each frame brings a command, and the next one may be late by a third of the watchdog's time."""
 LEAST_SIDE_PX, MOST_SIDE_PX = 16, 1920
 """Of a camera's picture."""
+MOST_PAINTERS = 16
 MOST_NOISE = 50.0
 """Grey levels."""
 # 2200: simulated time, counted on from here, stays in 64 bits for every reader
@@ -55,6 +56,8 @@ class Settings:
     """Names of the cameras that somebody else brings; none: the simulation draws those of the model."""
     calibration: Path | None = None
     """A file of cameras and colours that is published in place of the model's."""
+    painters: int | None = None
+    """Processes that draw, 0 for the simulation's own; none: as many as help."""
 
     def __post_init__(self) -> None:
         """Refuses what can't work, saying what can."""
@@ -73,6 +76,8 @@ class Settings:
             raise ConfigError(f"samples {self.samples}: a pixel has {' or '.join(map(str, SAMPLES))}")
         if not 0.0 <= self.noise <= MOST_NOISE:
             raise ConfigError(f"--noise {self.noise:g} is not within 0 to {MOST_NOISE:g} grey levels")
+        if self.painters is not None and not 0 <= self.painters <= MOST_PAINTERS:
+            raise ConfigError(f"--painters {self.painters} is not within 0 to {MOST_PAINTERS}")
         if self.seed < 0:
             raise ConfigError(f"--seed {self.seed} is below 0")
         if not -0.05 <= self.model_error <= 0.05:
@@ -117,6 +122,7 @@ def parse_settings(arguments: argparse.Namespace) -> Settings:
         model=arguments.model,
         external_cameras=tuple(arguments.external_cameras or os.environ.get(CAMERAS_VARIABLE, "").split()),
         calibration=arguments.calibration,
+        painters=arguments.painters,
     )
 
 
@@ -155,6 +161,13 @@ def argument_parser() -> argparse.ArgumentParser:
     parser.add_argument("--height", type=int, default=800, help="as --width (default: 800)")
     parser.add_argument(
         "--samples", type=int, choices=SAMPLES, default=0, help="for each pixel; 4 is smoother and slower (default: 0)"
+    )
+    parser.add_argument(
+        "--painters",
+        type=int,
+        metavar="N",
+        help="processes that draw, the cameras shared among them; 0: the simulation draws by itself (default: in "
+        "lockstep without a GPU one for each camera, as far as there are processors; else 0)",
     )
     parser.add_argument(
         "--target",

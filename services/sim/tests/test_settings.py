@@ -21,6 +21,8 @@ EXECUTABLE = Path(sys.executable).parent / "armsight-sim"
         ["--ambient", "2"],
         ["--noise", "-1"],
         ["--seed", "-1"],
+        ["--painters", "-1"],
+        ["--painters", "99"],
         ["--model-error", "0.5"],
         ["--model-error", "nan"],
         ["--start-time", "yesterday"],
