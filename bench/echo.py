@@ -5,6 +5,7 @@ command has. No message is decoded and nothing is computed.
 """
 
 import argparse
+import json
 import multiprocessing
 import struct
 import threading
@@ -13,7 +14,8 @@ from collections.abc import Sequence
 
 import zenoh
 
-from armsight.session import SessionConfig, open_session
+from armsight.session import SessionConfig, zenoh_settings
+from armsight.shared_memory import POOL_BYTES, Use
 
 FRAME_BYTES = 800 * 800 * 3
 ANSWER_BYTES = 250
@@ -46,12 +48,12 @@ def measure(endpoint: str, pairs: int, rate_hz: float, shared_memory: bool) -> l
 
 
 def _session(endpoint: str, publish: bool, shared_memory: bool) -> zenoh.Session:
-    memory = ("publish" if publish else "read") if shared_memory else "off"
-    config = SessionConfig(endpoints=(endpoint,), namespace="bench/echo", shared_memory=memory)  # type: ignore[arg-type]
-    session = open_session(config, threading.Event())
-    if session is None:
-        raise RuntimeError("session not opened")
-    return session
+    memory: Use = ("publish" if publish else "read") if shared_memory else "off"
+    settings = zenoh_settings(SessionConfig(endpoints=(endpoint,), namespace="bench/echo", shared_memory=memory))
+    if memory == "publish":  # bytes go there by themselves: Zenoh's own way
+        pool = {"enabled": True, "pool_size": POOL_BYTES, "message_size_threshold": 65536}
+        settings.insert_json5("transport/shared_memory/transport_optimization", json.dumps(pool))
+    return zenoh.open(settings)
 
 
 def _answer(endpoint: str, shared_memory: bool, ready, done) -> None:  # type: ignore[no-untyped-def]

@@ -13,7 +13,8 @@ from running import bus_of
 
 from armsight import topics
 from armsight.bus import Bus
-from armsight.images import encode_rgb8, encode_sent
+from armsight.frame_pool import FramePool
+from armsight.images import encode_sent
 from armsight.shared_memory import Use
 from armsight.times import wall_ns
 from armsight_operator.picture import Snapshot, take_snapshot
@@ -90,8 +91,9 @@ def _packed(taken: Snapshot) -> _Packed:
 class _Robot:
     """Sim's part of one robot's bus."""
 
-    def __init__(self, bus: Bus, packed: _Packed) -> None:
+    def __init__(self, bus: Bus, packed: _Packed, memory: Use) -> None:
         description, cameras = packed
+        self._pool = FramePool(memory, bus.counters)
         self._frames = {}
         for name, (calibration, pose, image) in cameras.items():
             bus.publisher(topics.CAMERA_CALIBRATION, name).put_bytes(calibration)
@@ -102,7 +104,7 @@ class _Robot:
     def film(self) -> None:
         capture_ns = wall_ns()
         for publisher, image in self._frames.values():
-            encoded = encode_rgb8(image.data, image.width, image.height, image.frame_id, capture_ns)
+            encoded = self._pool.encode_rgb8(image.data, image.width, image.height, image.frame_id, capture_ns)
             publisher.put_bytes(encoded, encode_sent(wall_ns()))
 
 
@@ -116,7 +118,7 @@ def _film(
     done: Event,
 ) -> None:
     with ExitStack() as closing:
-        robots = [_Robot(closing.enter_context(bus_of(endpoint, name, memory)), packed) for name in namespaces]
+        robots = [_Robot(closing.enter_context(bus_of(endpoint, name, memory)), packed, memory) for name in namespaces]
         step_s = 1 / rate_hz / len(robots)
         due = time.monotonic()
         while not done.is_set():

@@ -13,6 +13,7 @@ from running import bus_of, until
 
 from armsight import topics
 from armsight.bus import Received
+from armsight.frame_pool import FramePool
 from armsight.images import encode_rgb8
 from armsight.shared_memory import Use
 from armsight.times import from_timestamp, to_timestamp
@@ -117,6 +118,7 @@ class Sender:
         stack.kill("sim", signal.SIGKILL)
         memory: Use = "publish" if shared_memory else "off"
         sending = closing.enter_context(bus_of(stack.endpoint, stack.namespace, memory))
+        self._pool = FramePool(memory, sending.counters)
         self._frames = {name: sending.publisher(topics.CAMERA_IMAGE, name) for name in self._snapshot.cameras}
         self._clock, self._targets = sending.publisher(topics.CLOCK), sending.publisher(topics.TARGET)
         sending.publisher(topics.JOINTS_ACCEPTED).put(latest_accepted.message)
@@ -136,13 +138,15 @@ class Sender:
             due = time.monotonic() + 1 / RATE_HZ
             capture_ns = time.time_ns()
             images = [(name, camera.image) for name, camera in self._snapshot.cameras.items()]
-            payloads = [(name, encode_rgb8(i.data, i.width, i.height, i.frame_id, capture_ns)) for name, i in images]
+            payloads = {
+                name: self._pool.encode_rgb8(i.data, i.width, i.height, i.frame_id, capture_ns) for name, i in images
+            }
             self._clock.put(Clock(capture_time=to_timestamp(capture_ns), mode=CLOCK_MODE_REALTIME))
             self._target.timestamp.CopyFrom(to_timestamp(capture_ns))
             self._targets.put(self._target)
             self._sent_ns[capture_ns] = time.monotonic_ns()
-            for name, payload in payloads:
-                self._frames[name].put_bytes(payload)
+            for name in list(payloads):
+                self._frames[name].put_bytes(payloads.pop(name))
             time.sleep(max(0.0, due - time.monotonic()))
         time.sleep(0.3)
         answered = len(self.taken_ms) - answered_before

@@ -73,7 +73,7 @@ class Publisher(Generic[M]):
         """Publishes a message; a put on a closed session is dropped."""
         self.put_bytes(message.SerializeToString())
 
-    def put_bytes(self, payload: bytes, attachment: bytes | None = None) -> None:
+    def put_bytes(self, payload: bytes | zenoh.ZBytes, attachment: bytes | None = None) -> None:
         """Publishes a message that is serialised already (frames), with bytes beside it where given."""
         try:
             self._inner.put(payload, attachment=attachment)

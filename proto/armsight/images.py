@@ -23,8 +23,17 @@ def encode_rgb8(pixels: bytes | memoryview, width: int, height: int, frame_id: s
     Raises:
         ValueError: the number of bytes does not fit width and height.
     """
-    if len(pixels) != width * height * 3:
-        raise ValueError(f"{len(pixels)} bytes are not a {width}x{height} rgb8 image")
+    return b"".join((head_of_rgb8(len(pixels), width, height, frame_id, capture_ns), pixels))
+
+
+def head_of_rgb8(size: int, width: int, height: int, frame_id: str, capture_ns: int) -> bytes:
+    """What stands before the pixels in :func:`encode_rgb8`; ``size`` is their bytes.
+
+    Raises:
+        ValueError: the number of bytes does not fit width and height.
+    """
+    if size != width * height * 3:
+        raise ValueError(f"{size} bytes are not a {width}x{height} rgb8 image")
     head = RawImage(
         timestamp=to_timestamp(capture_ns),
         frame_id=frame_id,
@@ -33,7 +42,7 @@ def encode_rgb8(pixels: bytes | memoryview, width: int, height: int, frame_id: s
         encoding="rgb8",
         step=width * 3,
     )
-    return b"".join((head.SerializeToString(), _DATA_TAG, _varint(len(pixels)), pixels))
+    return b"".join((head.SerializeToString(), _DATA_TAG, _varint(size)))
 
 
 def encode_sent(ns: int) -> bytes:

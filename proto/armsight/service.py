@@ -109,6 +109,8 @@ class Context:
     health: HealthReporter
     stop: threading.Event
     tunables: Tunables
+    shared_memory: Use = "off"
+    """As the session was opened; of frames that are sent: :class:`~armsight.frame_pool.FramePool`."""
 
 
 def add_service_arguments(parser: argparse.ArgumentParser) -> None:
@@ -160,7 +162,7 @@ def run_service(
             health = HealthReporter(name, bus)
             tunables = serve_parameters(name, bus, parameters)
             try:
-                body(Context(bus, health, stop, tunables))
+                body(Context(bus, health, stop, tunables, config.shared_memory))
             except SessionClosedError:
                 if not stop.is_set():
                     raise

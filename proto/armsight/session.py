@@ -18,14 +18,12 @@ import zenoh
 
 from armsight import tls
 from armsight.errors import ConfigError
-from armsight.shared_memory import POOL_BYTES, Use, why_not
+from armsight.shared_memory import Use, why_not
 
 log = logging.getLogger(__name__)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 DEFAULT_NAMESPACE = "robots/arm"
-
-_SHARED_MEMORY_THRESHOLD_BYTES = 65536
 
 # Zenoh's own: under load the loss of frames at 30 Hz falls from a tenth to nothing.
 _DATA_LOW_QUEUE = 16
@@ -240,7 +238,8 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
         put("connect/retry", _RETRY)
         put("listen/endpoints", [])
         put("namespace", config.namespace or None)
-    _put_shared_memory(put, config.shared_memory)
+    put("transport/shared_memory/enabled", config.shared_memory != "off")
+    put("transport/shared_memory/transport_optimization/enabled", False)  # it copies: see frame_pool
     return settings
 
 
@@ -258,19 +257,6 @@ def _log_to_stderr() -> None:
     os.dup2(2, 1)
     sys.stdout = stdout
     zenoh.init_log_from_env_or(_ZENOH_LOG)
-
-
-def _put_shared_memory(put, use: Use) -> None:  # type: ignore[no-untyped-def]
-    put("transport/shared_memory/enabled", use != "off")
-    if use == "publish":
-        optimization = {
-            "enabled": True,
-            "pool_size": POOL_BYTES,
-            "message_size_threshold": _SHARED_MEMORY_THRESHOLD_BYTES,
-        }
-        put("transport/shared_memory/transport_optimization", optimization)
-    else:
-        put("transport/shared_memory/transport_optimization/enabled", False)
 
 
 def _read_file(file: Path) -> zenoh.Config:

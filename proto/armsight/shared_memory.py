@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 Use = Literal["off", "read", "publish"]
-"""``publish`` makes a pool: sim alone."""
+"""``publish`` makes a pool: who has the cameras, alone."""
 
 # Three pairs of 800x800 rgb8 frames do not fit, three frames do: every process that maps the pool must lock it, and the
 # usual limit is 8 MiB.

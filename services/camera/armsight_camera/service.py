@@ -9,7 +9,8 @@ from functools import partial
 
 from armsight import topics
 from armsight.bus import Received
-from armsight.images import encode_rgb8, encode_sent
+from armsight.frame_pool import FramePool
+from armsight.images import encode_sent
 from armsight.parameters import Tunable, Value
 from armsight.service import Context
 from armsight.times import NS_PER_S, from_duration, from_timestamp, to_timestamp, wall_ns
@@ -56,6 +57,7 @@ class Cameras:
             bus.publisher(topics.CAMERA_CALIBRATION, name).put(camera.calibration)
             bus.publisher(topics.CAMERA_POSE, name).put(camera.pose)
         self._images = {name: bus.publisher(topics.CAMERA_IMAGE, name) for name in names}
+        self._pool = FramePool(context.shared_memory, bus.counters)
         self._conditions = {device.name: Condition(device) for device in settings.devices}
         skew_ns = round(settings.max_skew_ms * _MS)
         only_files = all(device.ends for device in settings.devices)
@@ -178,7 +180,7 @@ class Cameras:
         for name, image in instant.frames.items():
             height, width, _ = image.shape
             frame_id = self._settings.known[name].frame_id
-            encoded = encode_rgb8(image.reshape(-1).data, width, height, frame_id, capture_ns)
+            encoded = self._pool.encode_rgb8(image.tobytes(), width, height, frame_id, capture_ns)
             self._images[name].put_bytes(encoded, encode_sent(wall_ns()))
         counters.add("frames_sent", len(instant.frames))
         if len(self._images) > 1:

@@ -1,7 +1,7 @@
 """Rendering the cameras off screen, by the OpenGL back end that :mod:`armsight_sim.gl` chose."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -81,8 +81,20 @@ class Cameras:
         """Sets the brightness of the ambient light, 0 to 1."""
         self._drawn.vis.headlight.ambient[:] = ambient
 
-    def draw(self, data: mujoco.MjData, into: Sequence[Image] | None = None) -> list[Image]:
-        """One rgb8 image for each camera, the top row first: new ones, or those given, (rows, columns, 3)."""
+    def draw(
+        self,
+        data: mujoco.MjData,
+        into: Sequence[Image] | None = None,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> list[Image]:
+        """One rgb8 image for each camera, the top row first.
+
+        Args:
+            data: of the model; with what follows from the joints' angles.
+            into: images to draw into, (rows, columns, 3) each (default: new ones).
+            meanwhile: what is to be done beside; once.
+        """
+        meanwhile()
         places = [None] * len(self._names) if into is None else into
         return [self._draw(data, *each) for each in zip(self._names, self.sizes, places, strict=True)]
 

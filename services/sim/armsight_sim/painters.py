@@ -9,7 +9,7 @@ import mmap
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import Pipe
@@ -126,22 +126,38 @@ class Painters:
         """Sets the brightness of the ambient light, 0 to 1."""
         self._state[-1] = ambient
 
-    def draw(self, data: mujoco.MjData) -> list[Image]:
-        """One rgb8 image for each camera, the top row first; they are painted over the next time.
+    def draw(
+        self,
+        data: mujoco.MjData,
+        into: Sequence[Image] | None = None,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> list[Image]:
+        """One rgb8 image for each camera, the top row first.
+
+        Args:
+            data: of the model.
+            into: images to copy the pictures to (default: what is returned is painted over the next time).
+            meanwhile: what is to be done while they are painted; once.
 
         Raises:
-            RenderError: a picture could not be drawn, by a second painter either.
+            RenderError: a picture could not be painted, by a second painter either.
         """
         mujoco.mj_getState(self._model, data, self._state[:-1], STATE)
         wanted = self._state.tobytes()
         for painter in self._painters:
             painter.ask(wanted)
+        meanwhile()
         for number, painter in enumerate(self._painters):
             try:
                 painter.wait(_LONGEST_DRAWING_S)
             except _LostError as error:
                 self._painters[number] = self._another(painter, error, wanted)
-        return [self._painters[painter].pictures[place] for painter, place in self._places]
+        painted = [self._painters[painter].pictures[place] for painter, place in self._places]
+        if into is None:
+            return painted
+        for place, picture in zip(into, painted, strict=True):
+            np.copyto(place, picture)
+        return list(into)
 
     def close(self) -> None:
         """Ends the processes."""

@@ -17,7 +17,8 @@ from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 from armsight import topics
 from armsight.bus import Received
 from armsight.calibration import KnownCamera, optical_frame, recoloured
-from armsight.images import encode_rgb8, encode_sent
+from armsight.frame_pool import FramePool
+from armsight.images import encode_sent
 from armsight.parameters import Value
 from armsight.schema import descriptor_set
 from armsight.service import Context
@@ -76,7 +77,6 @@ class Simulation:
         self._stops = StopSources()
         self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._lockstep = Lockstep()
-        self._encoded: list[bytes] = []
         self._last_accepted: bytes = b""
         self._refused_s, self._refused = -_REFUSAL_SHOWN_S, ""
         self._frame_times: deque[float] = deque(maxlen=31)
@@ -98,6 +98,13 @@ class Simulation:
         block = settings.clock is ClockMode.LOCKSTEP
         self._images = [bus.publisher(topics.CAMERA_IMAGE, name, block=block) for name in self._names]
         self._frame_ids = [optical_frame(name) for name in self._names]
+        self._pool = FramePool(context.shared_memory, bus.counters)
+        # the last pictures: as the cameras draw them, and as the pool takes them
+        self._pixels = [bytearray(width * height * 3) for width, height in self._sizes]
+        self._pictures = [
+            np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
+            for pixels, (width, height) in zip(self._pixels, self._sizes, strict=True)
+        ]
         self._true = bus.publisher(topics.JOINTS_TRUE)
         self._accepted = bus.publisher(topics.JOINTS_ACCEPTED)
         self._clock = bus.publisher(topics.CLOCK)
@@ -176,28 +183,26 @@ class Simulation:
 
     def _frame(self) -> None:
         started = time.monotonic()
-        capture_ns, elapsed_s = self._motion.capture_ns, self._instants.elapsed_s(self._motion.frame)
-        self._set_scene(elapsed_s)
-        self._publish_state(capture_ns)
-        images = self._cameras.draw(self._motion.world.data)
+        self._set_scene(self._instants.elapsed_s(self._motion.frame))
+        self._cameras.draw(self._motion.world.data, self._pictures, meanwhile=self._publish_state)
         if self._noise is not None:
-            images = [self._noise.add(image) for image in images]
-        self._encoded = [
-            encode_rgb8(image.data.cast("B"), width, height, frame_id, capture_ns)
-            for image, frame_id, (width, height) in zip(images, self._frame_ids, self._sizes, strict=True)
-        ]
+            for picture in self._pictures:
+                picture[:] = self._noise.add(picture)
         rendered = time.monotonic()
         self._send_frames()
         self._context.health.gauge("render_ms", (rendered - started) * 1e3)
         self._report(rendered)
 
     def _send_frames(self) -> None:
-        for publisher, encoded in zip(self._images, self._encoded, strict=True):
+        capture_ns, frames = self._motion.capture_ns, zip(self._pixels, self._sizes, self._frame_ids, strict=True)
+        for publisher, (pixels, size, frame_id) in zip(self._images, frames, strict=True):
+            encoded = self._pool.encode_rgb8(pixels, *size, frame_id, capture_ns)
             publisher.put_bytes(encoded, encode_sent(wall_ns()))
-        self._lockstep.sent(self._motion.capture_ns, time.monotonic())
+        self._lockstep.sent(capture_ns, time.monotonic())
 
-    def _publish_state(self, capture_ns: int) -> None:
-        world, stamp = self._motion.world, to_timestamp(capture_ns)
+    def _publish_state(self) -> None:
+        world, capture_ns = self._motion.world, self._motion.capture_ns
+        stamp = to_timestamp(capture_ns)
         joints = [
             JointState(name=name, position=angle, velocity=speed)
             for name, angle, speed in zip(world.joint_names, world.angles(), world.speeds(), strict=True)
