@@ -134,6 +134,29 @@ def test_a_jump_to_the_twin_is_told(made: Made, key: str) -> None:
     assert f"{key}: joint1 by 3.09" in told
 
 
+def test_an_estimate_of_the_twin_is_told_however_slowly_it_is_gone_to(made: Made) -> None:
+    angles = ramp(40, 0.02)
+    made.move(angles)
+    for frame in range(40):
+        made.state(topics.JOINTS_ESTIMATED, angles[frame] + 0.1 - (np.pi if frame == 25 else 0.0), frame)
+    (violation,) = violations(made)
+    assert "joints/estimated: joint1 at -2.5416 rad" in violation
+    assert "true 0.5000 rad" in violation
+
+
+def test_an_estimate_may_lag_behind_a_reset_for_a_moment(made: Made) -> None:
+    angles = [0.0] * 20 + [2.5] * 60
+    made.move(angles, commanded=lambda _: False)
+    for frame in range(80):
+        made.state(topics.JOINTS_ESTIMATED, angles[max(0, frame - 10)], frame)
+    assert list(violations(made)) == []
+    slow = Made()
+    slow.move(angles, commanded=lambda _: False)
+    for frame in range(80):
+        slow.state(topics.JOINTS_ESTIMATED, angles[max(0, frame - 30)], frame)
+    assert len(list(violations(slow))) == 14
+
+
 def test_full_speed_is_allowed_and_a_tenth_more_is_not(made: Made) -> None:
     made.move(ramp(12, 5.0 * PERIOD_NS / S), accepted=ramp(12, 5.0 * PERIOD_NS / S))
     assert list(violations(made)) == []
@@ -244,6 +267,12 @@ def test_what_was_lost_does_not_excuse_a_jump(made: Made) -> None:
 
 def test_a_reset_at_rest_is_counted_and_breaks_nothing(made: Made) -> None:
     made.move([*ramp(10), *[2.0] * 10], commanded=lambda frame: frame < 9)
+    found = made.found()
+    assert (found.violations, found.resets) == ((), 1)
+
+
+def test_a_reset_after_a_long_rest_is_one_too(made: Made) -> None:
+    made.move([0.0] * 40 + [2.0] * 10, commanded=lambda _: False)
     found = made.found()
     assert (found.violations, found.resets) == ((), 1)
 

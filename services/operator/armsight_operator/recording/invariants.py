@@ -32,6 +32,10 @@ _SETTLED_RAD_S = 0.05
 _SAME_RAD = 1e-9
 _RECONNECT_NS = 200_000_000
 """Subscriptions come back one by one: so long after the clock is heard again, a command may still be missed."""
+_OWN_BRANCH_RAD = 1.5
+"""Estimates are right to a tenth of that; of a pose's twin some joint is half a turn away."""
+_LOOKED_AGAIN_NS = 500_000_000
+"""After a reset, until frames that show it have been answered."""
 _SILENCE_NS = 1_500_000_000
 """Health comes every second: a longer pause is one that is seen."""
 
@@ -77,6 +81,7 @@ def check(timeline: Timeline) -> Findings:
         deaf_ns += sum(end - begin for begin, end in deaf)
         found += _within_limits(timeline, life)
         found += _within_speed(timeline, life, at)
+        found += _on_its_own_branch(timeline, life, at)
         found += _applied_in_order(life)
         found += _rests_without_commands(timeline, life, at, deaf)
         found += _rests_when_stopped(timeline, life, at)
@@ -120,7 +125,14 @@ def resets_of(timeline: Timeline, life: Life) -> list[int]:
     for before, after in pairwise(life.accepted):
         here, later = true.get(after.instant_ns), true.get(after.instant_ns + life.period_ns)
         later = later if later is not None else _next_of(life.true, after.instant_ns)
-        if here is None or later is None or (_excess(timeline, before, after, 2 * life.period_ns) <= 0.0):
+        if here is None or later is None:
+            continue
+        # after a rest the setpoint was said long ago: then the arm itself tells
+        jumps = _excess(timeline, before, after, 2 * life.period_ns) > 0.0 or any(
+            _excess(timeline, last, State(after.log_ns, after.instant_ns, here), 0, _OVERSHOOT_SPEED) > 0.0
+            for last in _last_before(life.true, after.instant_ns)
+        )
+        if not jumps:
             continue
         settled = float(np.abs(here - after.angles).max()) < _OVERSHOOT_RAD
         period_s = life.period_ns / NS_PER_S
@@ -132,6 +144,11 @@ def resets_of(timeline: Timeline, life: Life) -> list[int]:
 def _next_of(states: tuple[State, ...], instant_ns: int) -> Array | None:
     index = bisect_right(states, instant_ns, key=lambda state: state.instant_ns)
     return states[index].angles if index < len(states) else None
+
+
+def _last_before(states: tuple[State, ...], instant_ns: int) -> tuple[State, ...]:
+    index = bisect_left(states, instant_ns, key=lambda state: state.instant_ns)
+    return states[max(0, index - 1) : index]
 
 
 def _clock_goes_on(frames: list[Frame]) -> Iterator[Violation]:
@@ -169,6 +186,21 @@ def _within_speed(timeline: Timeline, life: Life, resets: list[int]) -> Iterator
                 name = timeline.joints.names[int(moved.argmax())]
                 seen = f"{name} by {moved.max():.4f} rad in {seconds:.4f} s"
                 yield Violation(after.instant_ns, key, seen, f"{moved.max() - more:.4f} rad at full speed")
+
+
+def _on_its_own_branch(timeline: Timeline, life: Life, resets: list[int]) -> Iterator[Violation]:
+    """Who takes the arm for its twin moves it the long way round, however slowly."""
+    true = {state.instant_ns: state.angles for state in life.true}
+    for state in life.estimated:
+        here = true.get(state.instant_ns)
+        if here is None or any(at - life.period_ns <= state.instant_ns < at + _LOOKED_AGAIN_NS for at in resets):
+            continue
+        off = np.abs(state.angles - here)
+        index = int(off.argmax())
+        if off[index] > _OWN_BRANCH_RAD:
+            seen = f"{timeline.joints.names[index]} at {state.angles[index]:.4f} rad"
+            allowed = f"within {_OWN_BRANCH_RAD:g} rad of the true {here[index]:.4f} rad"
+            yield Violation(state.instant_ns, topics.JOINTS_ESTIMATED.key, seen, allowed)
 
 
 def _applied_in_order(life: Life) -> Iterator[Violation]:

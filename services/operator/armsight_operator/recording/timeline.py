@@ -28,6 +28,7 @@ WANTED = (
     topics.CLOCK,
     topics.JOINTS_TRUE,
     topics.JOINTS_ACCEPTED,
+    topics.JOINTS_ESTIMATED,
     topics.JOINT_COMMAND,
     topics.STOP_STATE,
     topics.HEALTH,
@@ -108,6 +109,7 @@ class Timeline:
     frames: list[Frame] = field(default_factory=list)
     true: list[State] = field(default_factory=list)
     accepted: list[State] = field(default_factory=list)
+    estimated: list[State] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
     stops: list[Stop] = field(default_factory=list)
     health: dict[str, list[Said]] = field(default_factory=dict)
@@ -124,6 +126,7 @@ class Life:
     frames: tuple[Frame, ...]
     true: tuple[State, ...]
     accepted: tuple[State, ...]
+    estimated: tuple[State, ...]
     commands: tuple[Command, ...]
     """That answer an instant of it."""
 
@@ -175,6 +178,7 @@ def lives(timeline: Timeline) -> list[Life]:
             tuple(frame for frame in timeline.frames if within(frame.instant_ns, life)),
             tuple(_each_once(state for state in timeline.true if within(state.instant_ns, life))),
             tuple(_each_once(state for state in timeline.accepted if within(state.instant_ns, life))),
+            tuple(state for state in timeline.estimated if within(state.instant_ns, life)),
             tuple(command for command in timeline.commands if within(command.answers_ns, life)),
         )
         for first, life in zip(begins, pairwise(edges), strict=True)
@@ -197,8 +201,9 @@ def _take(found: Timeline, topic: Topic[Any], entry: Entry, message: Any) -> Non
     elif isinstance(message, JointStates):
         angles = _by_name(found.joints, {joint.name: joint.position for joint in message.joints})
         if angles is not None:
-            states = found.true if topic is topics.JOINTS_TRUE else found.accepted
-            states.append(State(entry.log_ns, from_timestamp(message.timestamp), angles))
+            states = {topics.JOINTS_TRUE: found.true, topics.JOINTS_ACCEPTED: found.accepted}
+            state = State(entry.log_ns, from_timestamp(message.timestamp), angles)
+            states.get(topic, found.estimated).append(state)
     elif isinstance(message, JointCommand):
         named = {joint.name: joint.position_rad for joint in message.joints}
         goal = None if message.hold else _by_name(found.joints, named)
