@@ -25,8 +25,8 @@ CABLE, ROBOT = "armbench", "armsight-bench-robot"
 MBIT_S = 20.0
 QUEUE_MS = 50.0
 """As long as the cable's own queue may get; what comes to a full one is lost."""
-SMALL_BUFFER = "#so_sndbuf=32768"
-"""Of the robot's end of the link: what the kernel has taken no priority overtakes."""
+LARGE_BUFFER = "#so_sndbuf=131072"
+"""Of the robot's end of the link, four times what it has by itself: what the kernel has taken no priority overtakes."""
 SETTLE_S = 2.0
 SECONDS = 10.0
 READY_S = 60.0
@@ -164,9 +164,9 @@ def main() -> None:
             with bus_of(here.endpoint, here.namespace) as status:
                 Monitor(status)
                 rows += measure("control with the robot, `armsight status` there", loop)
-        with machines(SMALL_BUFFER) as (here, _, loop):
+        with machines(LARGE_BUFFER) as (here, _, loop):
             start_control(here, loop)
-            rows += measure_looking(f"control there, and somebody looks, with `{SMALL_BUFFER}`", here, loop)
+            rows += measure_looking(f"control there, and somebody looks, with `{LARGE_BUFFER}`", here, loop)
     publish("link", rows)
 
 

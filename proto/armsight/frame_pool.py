@@ -36,7 +36,7 @@ class FramePool:
 
     def encode_rgb8(
         self, pixels: bytes | bytearray, width: int, height: int, frame_id: str, capture_ns: int
-    ) -> bytes | zenoh.ZBytes:
+    ) -> zenoh.ZBytes:
         """As :func:`armsight.images.encode_rgb8`, in the pool where there is one and it has room.
 
         What is returned keeps its room until it and all that was sent of it are forgotten: don't keep it.
@@ -44,7 +44,7 @@ class FramePool:
         head = head_of_rgb8(len(pixels), width, height, frame_id, capture_ns)
         room = self._room(len(head) + len(pixels))
         if room is None:
-            return b"".join((head, pixels))
+            return zenoh.ZBytes(b"".join((head, pixels)))
         room[: len(head)] = head
         room[len(head) :] = pixels
         return zenoh.ZBytes(room)

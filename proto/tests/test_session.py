@@ -141,6 +141,19 @@ def test_shared_memory_is_used_as_it_is_wanted(use: Use) -> None:
     assert json.loads(settings.get_json("transport/shared_memory/transport_optimization"))["enabled"] is False
 
 
+@pytest.mark.parametrize(
+    ("link", "made"),
+    [
+        ("tcp/there:7447", "tcp/there:7447#so_sndbuf=32768"),
+        ("tls/there:7447#iface=eth0", "tls/there:7447#iface=eth0;so_sndbuf=32768"),
+        ("tls/there:7447#so_sndbuf=4194304", "tls/there:7447#so_sndbuf=4194304"),
+    ],
+)
+def test_link_between_routers_holds_back_little_unless_it_says_so(link: str, made: str) -> None:
+    settings = zenoh_settings(SessionConfig(mode="router", namespace="", links=(link,)))
+    assert json.loads(settings.get_json("connect/endpoints")) == [made]
+
+
 def test_port_in_use_is_a_clear_error(endpoint: str) -> None:
     config = SessionConfig(mode="router", endpoints=(endpoint,), namespace="", shared_memory="off")
     first = open_session(config, threading.Event())
