@@ -12,6 +12,7 @@ namespace armsight::vision {
 namespace {
 
 constexpr int kHypotheses = 64;        // finds three good points of 60 % good ones in all but 1e-7 of cases
+constexpr double kMissed = 1e-7;       // as few as find them as surely where more are good
 constexpr int kRefits = 3;             // inliers settle after two
 constexpr double kMaxHalfAngle = 0.6;  // rad; a sphere nearer than two radii fills the picture
 constexpr double kMinHalfAngle = 1e-4;
@@ -89,16 +90,29 @@ std::optional<Cone> solve(std::span<const EdgePoint> points, const Frame& frame,
     return from_normal(frame.to_optical(factor.solve(right)));
 }
 
-void score(Cone& cone, std::span<const EdgePoint> points, double tolerance_px) {
+// False, and no score, as soon as fewer than `at_least` points can agree.
+bool score(Cone& cone, std::span<const EdgePoint> points, double tolerance_px, int at_least = 0) {
     double sum = 0.0;
     cone.inliers = 0;
+    auto may_miss = std::ssize(points) - at_least;
     for (const EdgePoint& point : points) {
         const double r = residual_px(cone, point);
-        if (std::abs(r) > tolerance_px) continue;
+        if (std::abs(r) > tolerance_px) {
+            if (--may_miss < 0) return false;
+            continue;
+        }
         ++cone.inliers;
         sum += r * r;
     }
     cone.residual_px = cone.inliers > 0 ? std::sqrt(sum / cone.inliers) : 0.0;
+    return true;
+}
+
+// Draws of three points until all of one are good but for kMissed of cases, where this share of the points is.
+int draws_needed(double share) {
+    const double missed = std::log1p(-std::min(share * share * share, 1.0 - kMissed));
+    return missed < 0.0 ? static_cast<int>(std::min<double>(kHypotheses, std::ceil(std::log(kMissed) / missed)))
+                        : kHypotheses;
 }
 
 bool is_better(const Cone& a, const Cone& b) {
@@ -131,8 +145,13 @@ std::optional<Cone> fit_cone(std::span<const EdgePoint> points, const ConeOption
     std::optional<Cone> best = solve(points, frame, nullptr, 0.0);
     if (best) score(*best, points, options.tolerance_px);
     Lottery lottery;
-    const bool all_agree = best && std::cmp_equal(best->inliers, points.size());
-    for (int i = 0; i < kHypotheses && !all_agree; ++i) {
+    const auto needed = [&] {
+        if (!best) return kHypotheses;
+        return std::cmp_equal(best->inliers, points.size())
+                   ? 0
+                   : draws_needed(best->inliers / static_cast<double>(points.size()));
+    };
+    for (int i = 0, draws = needed(); i < draws; ++i) {
         Eigen::Matrix3d rows;
         for (int k = 0; k < 3; ++k) rows.row(k) = frame.row(points[lottery.draw(points.size())].ray);
         Eigen::Matrix3d inverse;
@@ -141,8 +160,10 @@ std::optional<Cone> fit_cone(std::span<const EdgePoint> points, const ConeOption
         if (!invertible) continue;  // a point was drawn twice, or they are too close together
         auto cone = from_normal(frame.to_optical(inverse * Eigen::Vector3d::Ones()));
         if (!cone) continue;
-        score(*cone, points, options.tolerance_px);
-        if (!best || is_better(*cone, *best)) best = cone;
+        if (!score(*cone, points, options.tolerance_px, best ? best->inliers : 0)) continue;
+        if (best && !is_better(*cone, *best)) continue;
+        best = cone;
+        draws = needed();
     }
     if (!best) return std::nullopt;
     return polished(points, frame, *best, options);
