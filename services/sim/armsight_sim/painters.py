@@ -9,6 +9,7 @@ import mmap
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -35,7 +36,7 @@ STATE = mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoc
 # The largest pictures take some 0.1 s, on a busy machine several times as long; what takes longer hangs.
 _LONGEST_DRAWING_S = 5.0
 _LONGEST_START_S = 30.0
-_LOOK_S = 0.5
+_LOOK_S = 0.1
 _THREADS = "LP_NUM_THREADS"
 
 
@@ -86,6 +87,7 @@ class Painters:
         *,
         painters: int,
         counters: Counters,
+        stop: threading.Event,
         emissive: bool = False,
         groups: Sequence[int] = (),
     ) -> None:
@@ -99,13 +101,14 @@ class Painters:
             samples: as there.
             painters: how many; no more than there are cameras are started.
             counters: take the painters that had to be replaced.
+            stop: once set, nobody is waited for.
             emissive: as there.
             groups: as there.
 
         Raises:
-            RenderError: they don't draw.
+            RenderError: they don't draw, or are not to.
         """
-        self._model, self._counters = model, counters
+        self._model, self._counters, self._stop = model, counters, stop
         self._state: State = np.empty(mujoco.mj_stateSize(model, STATE) + 1)
         self.light(float(model.vis.headlight.ambient[0]))
         count = min(painters, len(names))
@@ -117,7 +120,7 @@ class Painters:
         self._places = [(i % count, i // count) for i in range(len(names))]
         try:
             for painter in self._painters:
-                painter.wait(_LONGEST_START_S)
+                painter.wait(_LONGEST_START_S, stop)
         except _LostError as error:
             self.close()
             raise RenderError(f"a process that draws did not start: {error}") from error
@@ -140,7 +143,7 @@ class Painters:
             meanwhile: what is to be done while they are painted; once.
 
         Raises:
-            RenderError: a picture could not be painted, by a second painter either.
+            RenderError: a picture could not be painted, by a second painter either, or is not to be.
         """
         mujoco.mj_getState(self._model, data, self._state[:-1], STATE)
         wanted = self._state.tobytes()
@@ -149,7 +152,7 @@ class Painters:
         meanwhile()
         for number, painter in enumerate(self._painters):
             try:
-                painter.wait(_LONGEST_DRAWING_S)
+                painter.wait(_LONGEST_DRAWING_S, self._stop)
             except _LostError as error:
                 self._painters[number] = self._another(painter, error, wanted)
         painted = [self._painters[painter].pictures[place] for painter, place in self._places]
@@ -165,14 +168,16 @@ class Painters:
             painter.close()
 
     def _another(self, lost: "_Painter", error: Exception, wanted: bytes) -> "_Painter":
+        if self._stop.is_set():
+            raise RenderError("asked to stop") from error
         self._counters.add("painters_replaced")
         log.warning("a process that draws was lost, starting another", extra={"reason": str(error)})
         lost.close()
         painter = _Painter(lost.commission, len(self._painters))
         try:
-            painter.wait(_LONGEST_START_S)
+            painter.wait(_LONGEST_START_S, self._stop)
             painter.ask(wanted)
-            painter.wait(_LONGEST_DRAWING_S)
+            painter.wait(_LONGEST_DRAWING_S, self._stop)
         except _LostError as again:
             painter.close()
             raise RenderError(f"a process that draws was lost twice: {again}") from again
@@ -205,7 +210,7 @@ class _Painter:
         with suppress(OSError):
             self._connection.send_bytes(wanted)
 
-    def wait(self, longest_s: float) -> None:
+    def wait(self, longest_s: float, stop: threading.Event) -> None:
         """Until what was asked for last is done.
 
         Raises:
@@ -214,6 +219,8 @@ class _Painter:
         until = monotonic() + longest_s
         try:
             while not self._connection.poll(_LOOK_S):
+                if stop.is_set():
+                    raise _LostError("it is to stop")
                 if monotonic() > until:
                     raise _LostError(f"no picture for {longest_s:g} s")
             trouble = self._connection.recv_bytes()

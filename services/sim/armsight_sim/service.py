@@ -32,7 +32,7 @@ from armsight_sim import description
 from armsight_sim.cameras import Cameras, Noise, picture_size
 from armsight_sim.clock import ClockMode, Instants, Lockstep, Pacer
 from armsight_sim.commands import Verdict
-from armsight_sim.errors import SimError
+from armsight_sim.errors import RenderError, SimError
 from armsight_sim.motion import Motion
 from armsight_sim.painters import Painters
 from armsight_sim.recalibration import recalibration_of
@@ -127,7 +127,18 @@ class Simulation:
         bus.presence(self._presence)
 
     def run(self) -> None:
-        """Frame after frame until asked to stop."""
+        """Frame after frame until asked to stop.
+
+        Raises:
+            RenderError: nothing draws any more.
+        """
+        try:
+            self._run()
+        except RenderError:
+            if not self._context.stop.is_set():
+                raise
+
+    def _run(self) -> None:
         self._cameras, self._noise = self._new_cameras(self._settings), self._new_noise(self._settings)
         try:
             pacer = Pacer(self._settings.fps, time.monotonic())
@@ -157,6 +168,7 @@ class Simulation:
             groups=groups,
             painters=painters,
             counters=self._context.bus.counters,
+            stop=self._context.stop,
         )
 
     def _usual_painters(self) -> int:

@@ -2,6 +2,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -54,7 +55,7 @@ def counters() -> Counters:
 
 @pytest.fixture
 def painters(world: World, counters: Counters) -> Iterator[Painters]:
-    painters = Painters(world.model, ["1", "2"], 200, 160, 4, painters=2, counters=counters)
+    painters = Painters(world.model, ["1", "2"], 200, 160, 4, painters=2, counters=counters, stop=threading.Event())
     yield painters
     painters.close()
 
@@ -92,7 +93,9 @@ def test_any_number_of_painters_shares_cameras_of_any_size(counters: Counters, c
     data.qpos[:], data.mocap_pos[0] = 0.6, (0.5, 0.2, 1.5)
     mujoco.mj_fwdPosition(model, data)
     cameras = Cameras(model, names, 400, 240, 0, groups=[BODIES_GROUP])
-    painters = Painters(model, names, 400, 240, 0, painters=count, counters=counters, groups=[BODIES_GROUP])
+    painters = Painters(
+        model, names, 400, 240, 0, painters=count, counters=counters, stop=threading.Event(), groups=[BODIES_GROUP]
+    )
     ours, theirs = painters.draw(data), cameras.draw(data)
     cameras.close()
     assert the_same(ours, theirs)
@@ -104,7 +107,9 @@ def test_any_number_of_painters_shares_cameras_of_any_size(counters: Counters, c
 
 def test_emissive_markers_are_painted_so(world: World, counters: Counters) -> None:
     cameras = Cameras(world.model, ["1"], 200, 200, 0, emissive=True)
-    painters = Painters(world.model, ["1"], 200, 200, 0, painters=1, counters=counters, emissive=True)
+    painters = Painters(
+        world.model, ["1"], 200, 200, 0, painters=1, counters=counters, stop=threading.Event(), emissive=True
+    )
     ours, theirs = painters.draw(world.data), cameras.draw(world.data)
     cameras.close()
     assert the_same(ours, theirs)
@@ -132,12 +137,25 @@ def test_painter_that_hangs_is_replaced(
     assert counters.snapshot()["painters_replaced"] == 1
 
 
+def test_nobody_is_waited_for_once_it_is_to_stop(world: World, counters: Counters) -> None:
+    stop = threading.Event()
+    painters = Painters(world.model, ["1"], 64, 64, 0, painters=1, counters=counters, stop=stop)
+    os.kill(pids()[0], signal.SIGSTOP)
+    stop.set()
+    began = time.monotonic()
+    with pytest.raises(RenderError, match="stop"):
+        painters.draw(world.data)
+    painters.close()
+    assert time.monotonic() - began < 1.0
+    assert counters.snapshot() == {}
+
+
 def test_what_opengl_says_is_told(world: World, counters: Counters, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.setenv("PYOPENGL_PLATFORM", "egl")
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/dev/null")  # no OpenGL to be found
     with pytest.raises(RenderError, match=r"did not start: .*EGL"):
-        Painters(world.model, ["1", "2"], 100, 100, 0, painters=2, counters=counters)
+        Painters(world.model, ["1", "2"], 100, 100, 0, painters=2, counters=counters, stop=threading.Event())
     assert pids() == []
 
 
@@ -145,11 +163,12 @@ def test_painters_end_with_whom_they_paint_for(tmp_path: Path) -> None:
     program = tmp_path / "paints.py"
     program.write_text(
         "from armsight_sim.gl import choose_gl; choose_gl()\n"
-        "import time\n"
+        "import threading, time\n"
         "from armsight.counters import Counters\n"
         "from armsight_sim.painters import Painters\n"
         "from armsight_sim.world import load_model\n"
-        "painters = Painters(load_model(), ['1', '2'], 64, 64, 0, painters=2, counters=Counters())\n"
+        "how = dict(painters=2, counters=Counters(), stop=threading.Event())\n"
+        "painters = Painters(load_model(), ['1', '2'], 64, 64, 0, **how)\n"
         "print(*(each._process.pid for each in painters._painters), flush=True)\n"
         "time.sleep(60)\n"
     )
