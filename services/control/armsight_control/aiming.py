@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armsight_control.chain import Array, Chain
-from armsight_control.kinematics import forward, jacobian, links_of, links_of_report
+from armsight_control.chain import Array, Chain, farthest
+from armsight_control.kinematics import Links, forward, jacobian, links_of_report
 from armsight_control.nullspace import DAMPING_M, damped_inverse, null_motion
 from armsight_control.solvers import REPORT_FREE
 from armsight_control.solvers.closed_form import limits_of_report, solve_one
 from armsight_control.solvers.start import for_free
-from armsight_control.solvers.workspace import nearest_reachable
+from armsight_control.solvers.workspace import TOLERANCE_M, nearest_point
 from armsight_control.tracking import Moving
 
 FREE_JOINTS = {"3": REPORT_FREE, "all": (0, 1, 2, 3)}
@@ -74,19 +74,20 @@ def aim(chain: Chain, free: tuple[int, ...], point: Moving, start: Array, dt_s: 
     later, _ = carried(chain, free, point.position + point.velocity * _DIFFERENCE_S, q)
     change = later - q
     # across a branch there is no velocity: the arm is on its way for longer than an instant
-    velocity = change / _DIFFERENCE_S + drift if np.abs(change).max() < BRANCH_RAD / 2 else np.zeros(chain.count)
+    velocity = change / _DIFFERENCE_S + drift if farthest(later, q) < BRANCH_RAD / 2 else np.zeros(chain.count)
     return Aim(q, velocity, forward(chain, q), missed_m < NEAR_M)
 
 
 def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> tuple[Array, float]:
     """A configuration near ``start`` with the tip at a point, or as near to it as it gets; and how far off that is."""
-    if free == REPORT_FREE and links_of_report(chain) is not None:
-        return _by_closed_form(chain, point, for_free(chain, start, free))
+    links = links_of_report(chain)
+    if free == REPORT_FREE and links is not None:
+        return _by_closed_form(chain, links, point, start)
     q = chain.clip(start)
     columns = list(free)
     error = point - forward(chain, q)
     for _ in range(_STEPS):
-        off = float(np.linalg.norm(error))
+        off = math.hypot(*error.tolist())
         if off < NEAR_M / 10:
             break
         step = damped_inverse(jacobian(chain, q)[:, columns], DAMPING_M * chain.scale) @ error
@@ -97,19 +98,25 @@ def carried(chain: Chain, free: tuple[int, ...], point: Array, start: Array) -> 
             tried[columns] += share * step
             tried = chain.clip(tried)
             missed = point - forward(chain, tried)
-            if float(np.linalg.norm(missed)) < off:
+            if math.hypot(*missed.tolist()) < off:
                 q, error, better = tried, missed, True
                 break
         if not better:
             break
-    return q, float(np.linalg.norm(error))
+    return q, math.hypot(*error.tolist())
 
 
-def _by_closed_form(chain: Chain, point: Array, start: Array) -> tuple[Array, float]:
+def _by_closed_form(chain: Chain, links: Links, point: Array, start: Array) -> tuple[Array, float]:
     """What the solver of that name finds, without what all solvers have around them: twice for every frame."""
-    links = links_of(chain)
-    x, y, _ = forward(chain, start)
-    near, _ = nearest_reachable(links, point, math.atan2(y, x))
-    q, columns = start.copy(), list(REPORT_FREE)
-    q[columns] = solve_one(links, limits_of_report(chain), near.tolist(), start[columns].tolist())
-    return chain.clip(q), float(np.linalg.norm(near - point))
+    x, y, z = point.tolist()
+    q = for_free(chain, start, REPORT_FREE)
+    azimuth = 0.0
+    if math.hypot(x, y) <= TOLERANCE_M:  # only on the z-axis is it asked for
+        ahead, aside, _ = forward(chain, q).tolist()
+        azimuth = math.atan2(aside, ahead)
+    near = nearest_point(links, (x, y, z), azimuth) or (x, y, z)
+    angles = q.tolist()
+    found = solve_one(links, limits_of_report(chain), near, [angles[i] for i in REPORT_FREE])
+    for i, angle in zip(REPORT_FREE, found, strict=True):
+        angles[i] = angle
+    return chain.clip(np.array(angles)), math.dist(near, (x, y, z))

@@ -16,7 +16,7 @@ from armsight.v1.control_pb2 import (
     ControlStatus,
     JointEstimate,
 )
-from armsight.v1.joints_pb2 import JointCommand, JointPositions, JointSetpoint, StageTimes
+from armsight.v1.joints_pb2 import JointCommand, JointPositions, StageTimes
 from armsight_control.chain import Array, Chain
 from armsight_control.decision import Decision
 from armsight_control.description import vector3
@@ -27,6 +27,7 @@ from armsight_control.movement import Pointed
 
 # How long a command counts, in simulated time: MoveIt Servo's default.
 VALID_FOR_S = 0.1
+_VALID_FOR = to_duration(VALID_FOR_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +94,13 @@ def command_of(message: JointPositions, decision: Decision, names: tuple[str, ..
     """What the arm is told for a decision about the positions of one instant."""
     command = JointCommand(
         answers=message.capture_time,
-        valid_for=to_duration(VALID_FOR_S),
+        valid_for=_VALID_FOR,
         hold=decision.setpoint is None,
         stages=message.stages,
     )
     if decision.setpoint is not None:
         for name, angle in zip(names, decision.setpoint.tolist(), strict=True):
-            command.joints.append(JointSetpoint(name=name, position_rad=angle))
+            command.joints.add(name=name, position_rad=angle)
     return command
 
 

@@ -1,16 +1,15 @@
 """What vision saw, in the base frame: the tip by its markers, and the bodies beside the arm."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from armsight.v1.description_pb2 import SHAPE_BOX, SHAPE_SPHERE, ArmDescription, Shape
 from armsight.v1.joints_pb2 import MARKER_STATUS_LOST, JointPositions, MarkerPosition
-from armsight_control.chain import Array
+from armsight_control.chain import Array, Rows
 from armsight_control.description import Arm
-from armsight_control.positions import Positions
+from armsight_control.positions import Positions, TipLine
 from armsight_control.spread import largest_variance
 
 _MAX_POSITION_M = 1e4
@@ -36,7 +35,7 @@ def seen(message: JointPositions, name: str, arm: Arm) -> Seen | None:
     return None
 
 
-def tip_by_markers(positions: Positions, along: Mapping[str, float], length4: float) -> Seen | None:
+def tip_by_markers(positions: Positions, line: TipLine) -> Seen | None:
     r"""The tip as the cameras see it, whatever the links' lengths: :math:`p_{red} - (s_{red} - L_4)\, r_4`.
 
     Only the distance between the tip and the marker nearest to it comes from the description (0.15 m of 6): links that
@@ -44,22 +43,21 @@ def tip_by_markers(positions: Positions, along: Mapping[str, float], length4: fl
 
     Args:
         positions: of one instant.
-        along: markers on one line with the tip, name → metres along it.
-        length4: of the tip, along the same line: of the report's arm the length of link 4.
+        line: markers on one line with the tip.
     """
-    names = sorted(along, key=lambda name: abs(along[name] - length4))
-    nearest, farthest = names[0], names[-1]
+    nearest, farthest = line.ends
     near, far = positions.seen.get(nearest), positions.seen.get(farthest)
     if near is None or far is None:
         return None
-    between = (near.position - far.position) * math.copysign(1.0, along[nearest] - along[farthest])
-    length = float(np.linalg.norm(between))
+    apart = line.along[nearest] - line.along[farthest]
+    between = (near.position - far.position) * math.copysign(1.0, apart)
+    length = math.hypot(*between.tolist())
     if length < _FLOOR_M:
         return None
-    offset = along[nearest] - length4
-    lever = abs(offset / (along[nearest] - along[farthest]))
-    sigma_m = math.hypot((1 + lever) * _worst_sigma(near.covariance), lever * _worst_sigma(far.covariance))
-    return Seen(near.position - offset * between / length, sigma_m)
+    offset = line.along[nearest] - line.tip
+    lever = abs(offset / apart)
+    near_m, far_m = _worst_sigma(near.covariance.tolist()), _worst_sigma(far.covariance.tolist())
+    return Seen(near.position - offset * between / length, math.hypot((1 + lever) * near_m, lever * far_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,14 +78,15 @@ def body_names(message: ArmDescription) -> BodyNames:
 
 
 def _measured(marker: MarkerPosition, arm: Arm) -> Seen | None:
-    place, covariance = [marker.position.x, marker.position.y, marker.position.z], list(marker.covariance)
+    place, covariance = [marker.position.x, marker.position.y, marker.position.z], marker.covariance[:]
     if not marker.HasField("position") or not all(abs(each) < _MAX_POSITION_M for each in place):
         return None
     if len(covariance) != 9 or not all(abs(each) < _MAX_POSITION_M**2 for each in covariance):
         return None
-    matrix = np.array(covariance).reshape(3, 3)
-    return Seen(arm.world_to_base(np.array(place)), _worst_sigma((matrix + matrix.T) / 2))
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = covariance
+    xy, xz, yz = (xy + yx) / 2, (xz + zx) / 2, (yz + zy) / 2
+    return Seen(arm.world_to_base(np.array(place)), _worst_sigma(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))))
 
 
-def _worst_sigma(covariance: Array) -> float:
+def _worst_sigma(covariance: Rows) -> float:
     return math.sqrt(max(largest_variance(covariance), _FLOOR_M**2))

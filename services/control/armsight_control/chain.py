@@ -1,5 +1,6 @@
 """A serial chain of revolute joints, as arrays."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -7,8 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
+"""A point or vector in plain floats: numpy's calls on arrays of three cost ten times what they compute."""
+Rows = Sequence[Sequence[float]]
+"""A small matrix, row by row, in plain floats."""
 
 _FIRST_ARM_M = 10.0
+
+
+def farthest(q: Array, other: Array) -> float:
+    """The longest way of any joint between two configurations, radians."""
+    ways: list[float] = (q - other).tolist()
+    return max(map(abs, ways))
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +65,19 @@ class Chain:
     def count(self) -> int:
         """Number of joints."""
         return len(self.names)
+
+    @cached_property
+    def joints(self) -> tuple[tuple[Triple, Triple], ...]:
+        """Origin and axis of every joint, in plain floats."""
+        return tuple(
+            ((x, y, z), (k, l, m))
+            for (x, y, z), (k, l, m) in zip(self.origins.tolist(), self.axes.tolist(), strict=True)  # noqa: E741
+        )
+
+    @cached_property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Lower and upper limit of every joint, in plain floats."""
+        return tuple((lower, upper) for lower, upper in self.limits.tolist())
 
     @cached_property
     def scale(self) -> float:

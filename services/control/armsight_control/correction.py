@@ -11,8 +11,6 @@ joints, which goes on to explain what the cameras see: the two have no variable 
 
 import math
 
-import numpy as np
-
 from armsight_control.bodies import Seen
 from armsight_control.chain import Array
 
@@ -51,8 +49,8 @@ def corrected(
     if seen is None or seen.sigma_m > _SIGMA_M or speed_m_s > _SPEED_M_S:
         return correction
     difference = seen.position - commanded
-    if float(np.linalg.norm(difference)) > _BLOCKED_M * scale:
+    if math.hypot(*difference.tolist()) > _BLOCKED_M * scale:
         return correction
     after = correction + (1 - math.exp(-dt_s / time_s)) * (difference - correction)
-    size = float(np.linalg.norm(after))
+    size = math.hypot(*after.tolist())
     return after * min(1.0, MOST_M * scale / size) if size > 0 else after

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from armsight_control.chain import Array, Chain, Point
+from armsight_control.chain import Array, Chain, Point, Triple
 from armsight_control.errors import JointCountError, UnsupportedArmError
 
 _SHAPE_TOLERANCE = 1e-6
@@ -37,7 +37,7 @@ def frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     """
     q = _checked(chain, q)
     if q.ndim == 1:
-        listed = _frames_of_one(chain, q)
+        listed = _frames_of_one(chain, q.tolist())
         return np.array([r for r, _ in listed]).reshape(-1, 3, 3), np.array([o for _, o in listed])
     batch = q.shape[:-1]
     rotations = np.empty((*batch, chain.count + 1, 3, 3))
@@ -53,7 +53,7 @@ def position(chain: Chain, q: Array, point: Point) -> Array:
     """A point of the arm in the base frame, in metres; arguments as :func:`frames`."""
     q = _checked(chain, q)
     if q.ndim == 1:
-        return np.array(_carried(_frames_of_one(chain, q)[point.joint + 1], point))
+        return np.array(_position_of_one(chain, q.tolist(), point))
     rotations, origins = frames(chain, q)
     return np.asarray(origins[..., point.joint + 1, :] + rotations[..., point.joint + 1, :, :] @ point.position)
 
@@ -84,35 +84,53 @@ def forward(chain: Chain, q: Array) -> Array:
 
 
 # One configuration in plain floats: numpy's calls on arrays of three cost ten times what they compute.
-_Triple = tuple[float, float, float]
-_Frame = tuple[tuple[float, ...], _Triple]
+_Frame = tuple[tuple[float, ...], Triple]
 _BASE: _Frame = ((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 
 
-def points_and_columns(chain: Chain, q: Array, points: Sequence[Point]) -> Iterator[tuple[_Triple, list[_Triple]]]:
+def points_and_columns(
+    chain: Chain, q: Array | Sequence[float], points: Sequence[Point]
+) -> Iterator[tuple[Triple, list[Triple]]]:
     """Points of one configuration with the columns of their Jacobians, in plain floats: metres, and metres per radian.
 
     Raises:
         JointCountError: not so many angles as joints.
     """
-    found = _frames_of_one(chain, _checked(chain, q))
+    found = _frames_of_one(chain, _checked(chain, q).tolist())
     axes = _axes_of_one(chain, found)
     return (_columns_of_one(chain, found, axes, point) for point in points)
 
 
-def _checked(chain: Chain, q: Array) -> Array:
+def _checked(chain: Chain, q: Array | Sequence[float]) -> Array:
     q = np.asarray(q, dtype=np.float64)
     if q.shape[-1:] != (chain.count,):
         raise JointCountError(f"{q.shape[-1] if q.ndim else 0} angles for an arm of {chain.count} joints")
     return q
 
 
-def _frames_of_one(chain: Chain, q: Array) -> list[_Frame]:
+def _position_of_one(chain: Chain, q: Sequence[float], point: Point) -> Triple:
+    r"""A point in the base frame, taken from joint to joint towards the base.
+
+    Rodrigues' formula: :math:`p' = o + c\, p + s\, a \times p + (1 - c)(a \cdot p)\, a` for each joint at o about a.
+    """
+    x, y, z = point.position.tolist()
+    for i in range(point.joint, -1, -1):
+        (u, v, w), (k, l, m) = chain.joints[i]  # noqa: E741
+        sine, cosine = math.sin(q[i]), math.cos(q[i])
+        along = (1.0 - cosine) * (k * x + l * y + m * z)
+        x, y, z = (
+            u + cosine * x + sine * (l * z - m * y) + along * k,
+            v + cosine * y + sine * (m * x - k * z) + along * l,
+            w + cosine * z + sine * (k * y - l * x) + along * m,
+        )
+    return x, y, z
+
+
+def _frames_of_one(chain: Chain, q: Sequence[float]) -> list[_Frame]:
     """Rotation, row by row, and origin of the base and of every joint's frame."""
     found = [_BASE]
     (a, b, c, d, e, f, g, h, i), (u, v, w) = _BASE
-    joints = zip(chain.origins.tolist(), chain.axes.tolist(), q.tolist(), strict=True)
-    for (x, y, z), (k, l, m), angle in joints:  # noqa: E741  (k, l, m) is the axis
+    for ((x, y, z), (k, l, m)), angle in zip(chain.joints, q, strict=True):  # noqa: E741  (k, l, m) is the axis
         u, v, w = u + a * x + b * y + c * z, v + d * x + e * y + f * z, w + g * x + h * y + i * z
         sine, cosine = math.sin(angle), math.cos(angle)
         t = 1.0 - cosine
@@ -127,15 +145,13 @@ def _frames_of_one(chain: Chain, q: Array) -> list[_Frame]:
     return found
 
 
-def _carried(frame: _Frame, point: Point) -> _Triple:
+def _carried(frame: _Frame, point: Point) -> Triple:
     (a, b, c, d, e, f, g, h, i), (u, v, w) = frame
     x, y, z = point.position.tolist()
     return u + a * x + b * y + c * z, v + d * x + e * y + f * z, w + g * x + h * y + i * z
 
 
-def _columns_of_one(
-    chain: Chain, found: list[_Frame], axes: list[_Triple], point: Point
-) -> tuple[_Triple, list[_Triple]]:
+def _columns_of_one(chain: Chain, found: list[_Frame], axes: list[Triple], point: Point) -> tuple[Triple, list[Triple]]:
     """A point, and how it moves with every joint: the columns of its Jacobian."""
     x, y, z = place = _carried(found[point.joint + 1], point)
     columns = [(0.0, 0.0, 0.0)] * chain.count
@@ -146,10 +162,10 @@ def _columns_of_one(
     return place, columns
 
 
-def _axes_of_one(chain: Chain, found: list[_Frame]) -> list[_Triple]:
+def _axes_of_one(chain: Chain, found: list[_Frame]) -> list[Triple]:
     """Of every joint, in the base frame."""
     turned = []
-    for (k, l, m), ((a, b, c, d, e, f, g, h, i), _) in zip(chain.axes.tolist(), found[1:], strict=True):  # noqa: E741
+    for (_, (k, l, m)), ((a, b, c, d, e, f, g, h, i), _) in zip(chain.joints, found[1:], strict=True):  # noqa: E741
         turned.append((a * k + b * l + c * m, d * k + e * l + f * m, g * k + h * l + i * m))
     return turned
 

@@ -4,6 +4,7 @@ Every setpoint is for the instant at which the arm will be there: the capture ti
 have lately taken to be in force. Targets and tests are asked for where they are at that instant.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -38,15 +39,15 @@ from armsight_control import safety
 from armsight_control.aiming import FREE_JOINTS, carried, free_of
 from armsight_control.barrier import capsules_of
 from armsight_control.bodies import BodyNames, body_names
-from armsight_control.chain import Array, Chain
+from armsight_control.chain import Array, Chain, farthest
 from armsight_control.correction import CORRECTION_TIME_S
 from armsight_control.decision import Decision, holding
 from armsight_control.description import Arm
 from armsight_control.detour import Detour, Detours
 from armsight_control.history import History
-from armsight_control.kinematics import forward, jacobian, links_of_report
+from armsight_control.kinematics import forward, links_of_report, points_and_columns
 from armsight_control.modes import AIMING, Mode
-from armsight_control.nullspace import smallest_singular_value
+from armsight_control.nullspace import least_moved
 from armsight_control.pointing import Pointing
 from armsight_control.positions import Positions, TipLine, shoulder_of, tip_line_of
 from armsight_control.sight import Sight
@@ -305,10 +306,11 @@ class Movement:
         body = self._body
         if body is None:
             return holding("no description of the arm yet")
-        if self._state is None or not np.array_equal(self._state.position, setpoint):
+        state = self._state
+        if state is None or (state.position is not setpoint and not np.array_equal(state.position, setpoint)):
             self.rest()
-            self._state = at_rest(setpoint)
-        now = _Now(body, self._state, step, step.capture_ns + round(lead_s * NS_PER_S))
+            self._state = state = at_rest(setpoint)
+        now = _Now(body, state, step, step.capture_ns + round(lead_s * NS_PER_S))
         way = self._way(now)
         if isinstance(way, Decision):
             return self._come_to_rest(now, way)
@@ -375,22 +377,22 @@ class Movement:
 
     def _point(self, now: _Now, point: Moving, what: str) -> _Way | Decision:
         chain, present = now.body.arm.chain, now.state.position
-        found = self._pointing.aim(chain, Moving(point.position - self.correction, point.velocity), now.step.dt_s)
+        correction, most_m = self.correction, safety.SINGULAR_FROM_M * chain.scale
+        found = self._pointing.aim(chain, Moving(point.position - correction, point.velocity), now.step.dt_s)
         if found is None:
             return holding(self._pointing.refusal or "the solver has no answer yet")
         aim, switched = found
-        reached = aim.tip + self.correction
+        reached = aim.tip + correction
         self.pointed = Pointed(point.position, reached, aim.reachable)
-        missed = float(np.linalg.norm(reached - point.position))
+        missed = math.dist(reached, point.position)
         detail = "" if aim.reachable else f"{what} is out of reach by {missed:.2f} m: at the nearest point"
-        far = bool(np.abs(aim.q - present).max() > _SWITCHED_RAD)
-        self._switching = switched or (self._switching and far)
+        self._switching = switched or (self._switching and farthest(aim.q, present) > _SWITCHED_RAD)
         if self._switching:
             detail = f"{detail}; " * bool(detail) + "on its way to another branch"
-        columns = list(self._free)
 
         def nearness(q: Array) -> float:
-            return smallest_singular_value(jacobian(chain, q)[:, columns])
+            ((_, columns),) = points_and_columns(chain, q, [chain.tip])
+            return least_moved([columns[i] for i in self._free], most_m)
 
         return _Way(
             Goal(aim.q, aim.velocity),
@@ -414,9 +416,9 @@ class Movement:
         return now.body.detours.around(box, now.state, planned, now.step.dt_s)
 
     def _arrived(self, now: _Now, way: _Way) -> bool:
-        away = float(np.abs(now.body.arm.chain.clip(way.goal.position) - now.state.position).max())
-        speed = max(float(np.abs(now.state.velocity).max()), float(np.abs(way.goal.velocity).max()))
-        return way.ends and away <= way.near_rad and speed <= way.near_rad_s
+        if not way.ends or farthest(now.body.arm.chain.clip(way.goal.position), now.state.position) > way.near_rad:
+            return False
+        return all(abs(rate) <= way.near_rad_s for each in (now.state, way.goal) for rate in each.velocity.tolist())
 
     def _send(self, now: _Now, after: State, decision: Decision) -> Decision:
         """The last word: a setpoint that breaks a limit is not sent, whoever made it."""

@@ -4,6 +4,7 @@ The branch changes where a joint is at its limit: by the shortest way while the 
 to where joint 1 can follow longest.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from armsight.counters import Counters
 from armsight_control.aiming import BRANCH_RAD, Aim, aim
-from armsight_control.chain import Array, Chain
+from armsight_control.chain import Array, Chain, farthest
 from armsight_control.estimators.candidates import twins, within
 from armsight_control.kinematics import links_of_report
 from armsight_control.solvers import Options, Problem, Solution
@@ -99,10 +100,9 @@ class Pointing:
         found = aim(chain, self._free, point, present, dt_s)
         if not found.reachable:
             other = aim(chain, self._free, point, solution.q, dt_s)
-            missed = float(np.linalg.norm(found.tip - point.position))
-            if missed - float(np.linalg.norm(other.tip - point.position)) > _BETTER_M:
+            if math.dist(found.tip, point.position) - math.dist(other.tip, point.position) > _BETTER_M:
                 found = other
-        switched = bool(np.abs(found.q - present).max() > BRANCH_RAD)
+        switched = farthest(found.q, present) > BRANCH_RAD
         if switched and not found.reachable:
             # there is time for a longer way: the nearest branch might be at its end when the target is back in reach
             found = max(

@@ -10,8 +10,9 @@ is good and does no harm where it is not.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -25,10 +26,11 @@ from armsight.v1.joints_pb2 import (
     JointPositions,
     MarkerPosition,
 )
-from armsight_control.chain import Array, Chain
+from armsight_control.chain import Array, Chain, Rows, Triple
 from armsight_control.description import Arm
 from armsight_control.errors import PositionsError, UnsupportedArmError
 from armsight_control.kinematics import frames, position
+from armsight_control.spread import is_positive
 
 # Farther than any scene: what lies beyond is a broken message.
 _MAX_POSITION_M = 1e4
@@ -88,14 +90,20 @@ class LastLinks:
     """Marker name → metres from joint 4 along link 4."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class TipLine:
     """The markers on one line with the tip, on its link: what shows where the tip is, whatever the angles."""
 
     along: Mapping[str, float]
     """Marker name → metres along the line."""
     tip: float
-    """Of the tip, along the same line from the same point."""
+    """Of the tip, along the same line from the same point: of the report's arm the length of link 4."""
+
+    @cached_property
+    def ends(self) -> tuple[str, str]:
+        """The markers nearest to the tip and farthest from it."""
+        names = sorted(self.along, key=lambda name: abs(self.along[name] - self.tip))
+        return names[0], names[-1]
 
 
 def capture_of(message: JointPositions) -> int:
@@ -125,8 +133,8 @@ def positions_of(message: JointPositions, arm: Arm) -> Positions:
         if marker.name in used:
             raise PositionsError("twice", f"marker {marker.name} is there twice")
         used[marker.name] = marker
-    places = arm.world_to_base(_finite_positions(used))
-    covariances = arm.R_world_base.T @ _covariances(used) @ arm.R_world_base
+    places = arm.world_to_base(np.array(_finite_positions(used)).reshape(-1, 3))
+    covariances = arm.R_world_base.T @ np.array(_covariances(used)).reshape(-1, 3, 3) @ arm.R_world_base
     seen = {
         name: SeenMarker(place, covariance, marker.status == MARKER_STATUS_ONE_VIEW)
         for (name, marker), place, covariance in zip(used.items(), places, covariances, strict=True)
@@ -261,6 +269,9 @@ class DistanceBounds:
         self._least = np.array([each.min() for each in distances])
         self._greatest = np.array([each.max() for each in distances])
         self._pairs = np.array([[self._rows[name] for name in pair] for pair in pairs], dtype=np.intp).reshape(-1, 2).T
+        self._fixed: dict[str, Triple] = {name: tuple(place.tolist()) for name, place in fixed.items()}
+        least, greatest = self._least - self._slack_m, self._greatest + self._slack_m
+        self._surely = [(*pair, *far) for pair, *far in zip(pairs, least.tolist(), greatest.tolist(), strict=True)]
 
     def check(self, positions: Positions) -> None:
         """Compares the markers of one instant with what the arm allows.
@@ -268,6 +279,8 @@ class DistanceBounds:
         Raises:
             PositionsError: two markers are nearer or farther than they can be, given their covariances.
         """
+        if self._are_sure(positions):
+            return
         places, covariances = self._places.copy(), self._covariances.copy()
         for name, marker in positions.seen.items():
             places[self._rows[name]], covariances[self._rows[name]] = marker.position, marker.covariance
@@ -286,6 +299,15 @@ class DistanceBounds:
             allowed = f"this arm allows {self._least[i]:.2f} to {self._greatest[i]:.2f} m"
             raise PositionsError("implausible", f"{text}; {allowed}")
 
+    def _are_sure(self, positions: Positions) -> bool:
+        """Whether all distances are possible even if nothing were uncertain: what covariances allow is more."""
+        places = {name: marker.position.tolist() for name, marker in positions.seen.items()} | self._fixed
+        for name, other, least, greatest in self._surely:
+            here, there = places.get(name), places.get(other)
+            if here is not None and there is not None and not least <= math.dist(here, there) <= greatest:
+                return False
+        return True
+
 
 def _fixed_origins(chain: Chain) -> dict[int, Array]:
     """Origins of the joints that stay where they are whatever the angles."""
@@ -295,45 +317,38 @@ def _fixed_origins(chain: Chain) -> dict[int, Array]:
     return {i: origins[0, i + 1] for i in range(chain.count) if moved[i + 1] < _FLOOR_M * _FLOOR_M}
 
 
-def _finite_positions(markers: Mapping[str, MarkerPosition]) -> Array:
-    """All of them at once, (markers, 3): numpy's calls cost more than what they compute here."""
-    places = np.array([(m.position.x, m.position.y, m.position.z) for m in markers.values()]).reshape(-1, 3)
-    good = (np.abs(places) < _MAX_POSITION_M).all(axis=1)
-    for (name, marker), finite in zip(markers.items(), good, strict=True):
+def _finite_positions(markers: Mapping[str, MarkerPosition]) -> list[Triple]:
+    places = []
+    for name, marker in markers.items():
+        at = marker.position
+        x, y, z = place = at.x, at.y, at.z
+        # no comparison with what is not a number is true
+        finite = abs(x) < _MAX_POSITION_M and abs(y) < _MAX_POSITION_M and abs(z) < _MAX_POSITION_M
         if not finite or not marker.HasField("position"):
             raise PositionsError("position", f"marker {name} has no finite position within {_MAX_POSITION_M:g} m")
+        places.append(place)
     return places
 
 
-def _covariances(markers: Mapping[str, MarkerPosition]) -> Array:
-    """All of them at once, (markers, 3, 3)."""
-    for name, marker in markers.items():
-        if len(marker.covariance) != 9:
+def _covariances(markers: Mapping[str, MarkerPosition]) -> list[Rows]:
+    given = {name: marker.covariance[:] for name, marker in markers.items()}
+    for name, values in given.items():
+        if len(values) != 9:
             raise PositionsError("covariance", f"marker {name} has no finite 3x3 covariance")
-    matrices = np.array([marker.covariance[:] for marker in markers.values()]).reshape(-1, 3, 3)
-    sizes = np.abs(matrices).max(axis=(1, 2))
-    for name, finite in zip(markers, sizes < _MAX_POSITION_M**2, strict=True):
-        if not finite:
+    for name, values in given.items():
+        if not all(abs(value) < _MAX_POSITION_M**2 for value in values):
             raise PositionsError("covariance", f"marker {name} has no finite 3x3 covariance")
-    mirrored = matrices.transpose(0, 2, 1)
-    uneven = np.abs(matrices - mirrored).max(axis=(1, 2)) > 1e-6 * sizes
-    # rounding may leave it a little below zero: the fit must be able to factorise it
-    lifted = (matrices + mirrored) / 2 + np.eye(3) * (1e-6 * sizes)[:, None, None]
-    for name, matrix, wrong in zip(markers, lifted.tolist(), uneven.tolist(), strict=True):
-        if wrong or not _is_positive(matrix):
+    checked: list[Rows] = []
+    for name, (xx, xy, xz, yx, yy, yz, zx, zy, zz) in given.items():
+        # rounding may leave it a little below zero: the fit must be able to factorise it
+        little = 1e-6 * max(map(abs, given[name]))
+        even = max(abs(xy - yx), abs(xz - zx), abs(yz - zy)) <= little
+        xy, xz, yz = (xy + yx) / 2, (xz + zx) / 2, (yz + zy) / 2
+        lifted = (xx + little, xy, xz), (xy, yy + little, yz), (xz, yz, zz + little)
+        if not even or not is_positive(lifted):
             raise PositionsError("covariance", f"marker {name} has a covariance that is not symmetric and positive")
-    return np.asarray(lifted)
-
-
-def _is_positive(matrix: Sequence[Sequence[float]]) -> bool:
-    """Whether a symmetric 3 x 3 matrix has no direction of negative variance: by its pivots; all zero will do."""
-    (a, b, c), (_, d, e), (_, _, f) = matrix
-    if a == b == c == d == e == f == 0:
-        return True
-    if not a > 0:
-        return False
-    second, between = d - b * b / a, e - b * c / a
-    return second > 0 and f - c * c / a - between * between / second > 0
+        checked.append(lifted)
+    return checked
 
 
 def _unit(vector: Array) -> Array:

@@ -31,8 +31,8 @@ _SURPRISE_SHARE = 0.5
 # The third instant in a row that says the same is right.
 _SURPRISES = 2
 
-# Slower from here on towards a singularity (m/rad, the Jacobian's smallest singular value), down to a share.
-_SINGULAR_FROM_M = 0.5
+SINGULAR_FROM_M = 0.5
+"""Slower from here on towards a singularity (m/rad, the Jacobian's smallest singular value), down to a share."""
 _SINGULAR_TO_M = 0.1
 _SINGULAR_SHARE = 0.3
 
@@ -111,8 +111,8 @@ def expect(before: Expected | None, seen: Seen, commanded: Array, scale: float =
     if before is None:
         return Expected(seen, commanded)
     moved = commanded - before.commanded
-    surprise = float(np.linalg.norm(seen.position - before.seen.position - moved))
-    allowed = _SURPRISE_M * scale + _SURPRISE_SHARE * float(np.linalg.norm(moved))
+    surprise = math.hypot(*(seen.position - before.seen.position - moved).tolist())
+    allowed = _SURPRISE_M * scale + _SURPRISE_SHARE * math.hypot(*moved.tolist())
     allowed += _SURPRISE_SIGMAS * (seen.sigma_m + before.seen.sigma_m)
     if surprise <= allowed or before.surprises >= _SURPRISES:
         return Expected(seen, commanded)
@@ -134,7 +134,7 @@ def slow_for_singularity(present_m: float, ahead_m: Callable[[], float], scale: 
 
     The way out of a singularity is free.
     """
-    most_m, least_m = _SINGULAR_FROM_M * scale, _SINGULAR_TO_M * scale
+    most_m, least_m = SINGULAR_FROM_M * scale, _SINGULAR_TO_M * scale
     if present_m >= most_m or ahead_m() >= present_m:
         return 1.0
     into = (most_m - present_m) / (most_m - least_m)
@@ -159,19 +159,22 @@ def check_setpoint(chain: Chain, limits: MotionLimits, before: Array, pace: Pace
     Raises:
         UnsafeError: not finite, outside of the limits, faster than a joint may go, or sooner than it may get there.
     """
-    if not np.isfinite(setpoint).all():
-        raise UnsafeError(f"setpoint {setpoint.tolist()} is not finite")
-    if (setpoint < chain.limits[:, 0]).any() or (setpoint > chain.limits[:, 1]).any():
-        raise UnsafeError(f"setpoint {setpoint.tolist()} is outside of the limits")
+    angles = setpoint.tolist()
+    if not all(map(math.isfinite, angles)):
+        raise UnsafeError(f"setpoint {angles} is not finite")
+    if any(angle < lower or angle > upper for angle, (lower, upper) in zip(angles, chain.bounds, strict=True)):
+        raise UnsafeError(f"setpoint {angles} is outside of the limits")
     if dt_s <= 0:
-        raise UnsafeError(f"setpoint {setpoint.tolist()} is for no time at all")
-    if (np.abs(setpoint - before) > limits.speed(chain) * dt_s + _ROUNDING_RAD).any():
-        raise UnsafeError(f"setpoint {setpoint.tolist()} is farther than the joints' speed allows in {dt_s:.3f} s")
-    velocity = (setpoint - before) / dt_s
-    allowed = limits.acceleration_rad_s2 * (dt_s + pace.dt_s) / 2
-    if (np.abs(velocity - pace.velocity) > allowed + _ROUNDING_RAD_S + 2 * _ROUNDING_RAD / dt_s).any():
-        raise UnsafeError(f"setpoint {setpoint.tolist()} needs more than {limits.acceleration_rad_s2:g} rad/s²")
-    return Pace(velocity, dt_s)
+        raise UnsafeError(f"setpoint {angles} is for no time at all")
+    moved = [angle - was for angle, was in zip(angles, before.tolist(), strict=True)]
+    farthest = [speed * dt_s + _ROUNDING_RAD for speed in limits.speed(chain).tolist()]
+    if any(abs(way) > most for way, most in zip(moved, farthest, strict=True)):
+        raise UnsafeError(f"setpoint {angles} is farther than the joints' speed allows in {dt_s:.3f} s")
+    velocity = [way / dt_s for way in moved]
+    allowed = limits.acceleration_rad_s2 * (dt_s + pace.dt_s) / 2 + _ROUNDING_RAD_S + 2 * _ROUNDING_RAD / dt_s
+    if any(abs(now - was) > allowed for now, was in zip(velocity, pace.velocity.tolist(), strict=True)):
+        raise UnsafeError(f"setpoint {angles} needs more than {limits.acceleration_rad_s2:g} rad/s²")
+    return Pace(np.array(velocity), dt_s)
 
 
 def stopped_by(stop: StopState | None) -> Hold | None:

@@ -55,10 +55,10 @@ class Sight:
         self._sphere = self._watched(self._sphere, message, self._names.sphere, step)
         self._box = self._watched(self._box, message, self._names.box, step)
         line, scale = self._tip_line, self._arm.chain.scale
-        tip = None if line is None else tip_by_markers(positions, line.along, line.tip)
+        tip = None if line is None else tip_by_markers(positions, line)
         if tip is None:
             return
-        speed = 0.0 if self._expected is None else float(np.linalg.norm(commanded - self._commanded)) / step.dt_s
+        speed = 0.0 if self._expected is None else math.dist(commanded, self._commanded) / step.dt_s
         self._commanded = commanded
         self._expected = safety.expect(self._expected, tip, commanded, scale)
         safety.check_expected(self._expected)

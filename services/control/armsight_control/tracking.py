@@ -7,13 +7,12 @@ axes share one covariance of state. A point that no motion explains is another t
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
 
 from armsight.times import NS_PER_S
-from armsight_control.chain import Array
+from armsight_control.chain import Array, Rows, Triple
 from armsight_control.description import Arm
 from armsight_control.errors import SolverError
 
@@ -68,21 +67,23 @@ def finite_target(x: float, y: float, z: float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What is known of a moving point at the instant of its last measurement."""
+    """What is known of a moving point at the instant of its last measurement; in plain floats."""
 
     stamp_ns: int
-    state: Array
-    """3 x 3: rows are position (m), velocity (m/s) and acceleration (m/s²); columns x, y, z."""
-    covariance: Array
+    state: tuple[Triple, Triple, Triple]
+    """Position (m), velocity (m/s) and acceleration (m/s²), each along x, y, z."""
+    covariance: Rows
     """3 x 3, of one axis' position, velocity and acceleration."""
     jumped: bool = False
     """The last point was that of another target."""
 
 
-def begun(stamp_ns: int, position: Array, sigma_m: float) -> Track:
+def begun(stamp_ns: int, position: Triple, sigma_m: float) -> Track:
     """A track of one point: how it moves is not known."""
-    spread = np.diag([sigma_m**2, _NEW_SPEED_SIGMA**2, _NEW_ACCELERATION_SIGMA**2])
-    return Track(stamp_ns, np.stack([position, np.zeros(3), np.zeros(3)]), spread)
+    nothing = (0.0, 0.0, 0.0)
+    speed2, acceleration2 = _NEW_SPEED_SIGMA**2, _NEW_ACCELERATION_SIGMA**2
+    covariance = (sigma_m**2, 0.0, 0.0), (0.0, speed2, 0.0), (0.0, 0.0, acceleration2)
+    return Track(stamp_ns, (position, nothing, nothing), covariance)
 
 
 def observed(track: Track | None, stamp_ns: int, position: Array, sigma_m: float) -> Track:
@@ -94,38 +95,48 @@ def observed(track: Track | None, stamp_ns: int, position: Array, sigma_m: float
         position: (3,), metres.
         sigma_m: standard deviation of the point, per axis.
     """
+    x, y, z = position.tolist()
+    place = (x, y, z)
     if track is None:
-        return begun(stamp_ns, position, sigma_m)
+        return begun(stamp_ns, place, sigma_m)
     dt = (stamp_ns - track.stamp_ns) / NS_PER_S
-    if dt <= 0 and np.array_equal(position, track.state[0]):
+    if dt <= 0 and place == track.state[0]:
         return replace(track, jumped=False)
     if not 0 < dt <= FORESEEN_S:
-        moved = float(np.linalg.norm(position - track.state[0]))
-        return replace(begun(stamp_ns, position, sigma_m), jumped=moved > _JUMP_M)
-    carry, noise = _model(dt)
-    state, covariance = carry @ track.state, carry @ track.covariance @ carry.T + noise
-    innovation = position - state[0]
-    variance = float(covariance[0, 0]) + sigma_m**2
-    off = math.hypot(*innovation)
+        moved = math.dist(place, track.state[0])
+        return replace(begun(stamp_ns, place, sigma_m), jumped=moved > _JUMP_M)
+    half = dt * dt / 2
+    foreseen = [(x + dt * v + half * a, v + dt * a, a) for x, v, a in zip(*track.state, strict=True)]
+    (xx, xv, xa), (_, vv, va), (_, _, aa) = _carried(track.covariance, dt)
+    off, variance = math.dist(place, [x for x, _, _ in foreseen]), xx + sigma_m**2
     if off > _JUMP_M and off > _JUMP_SIGMAS * math.sqrt(variance):
-        return replace(begun(stamp_ns, position, sigma_m), jumped=True)
-    gain = covariance[:, :1] / variance
-    covariance = covariance - gain * covariance[0]
-    return Track(stamp_ns, state + gain * innovation, (covariance + covariance.T) / 2)
+        return replace(begun(stamp_ns, place, sigma_m), jumped=True)
+    by_x, by_v, by_a = xx / variance, xv / variance, xa / variance  # the filter's gain
+    axes = [
+        (x + by_x * (seen - x), v + by_v * (seen - x), a + by_a * (seen - x))
+        for seen, (x, v, a) in zip(place, foreseen, strict=True)
+    ]
+    at, speed, acceleration = zip(*axes, strict=True)
+    vv, va, aa = vv - by_v * xv, va - by_v * xa, aa - by_a * xa
+    xx, xv, xa = xx - by_x * xx, xv - by_x * xv, xa - by_x * xa
+    return Track(stamp_ns, (at, speed, acceleration), ((xx, xv, xa), (xv, vv, va), (xa, va, aa)))
 
 
-@lru_cache(maxsize=64)
-def _model(dt: float) -> tuple[Array, Array]:
-    """Transition and noise over ``dt`` seconds: frames come at few different intervals."""
-    carry = np.array([[1.0, dt, dt * dt / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-    noise = _JERK_DENSITY * np.array(
-        [
-            [dt**5 / 20, dt**4 / 8, dt**3 / 6],
-            [dt**4 / 8, dt**3 / 3, dt**2 / 2],
-            [dt**3 / 6, dt**2 / 2, dt],
-        ]
+def _carried(covariance: Rows, dt: float) -> Rows:
+    r""":math:`F P F^T + Q` over ``dt`` seconds, with F the transition and Q the noise; only its upper triangle."""
+    half = dt * dt / 2
+    (xx, xv, xa), (_, vv, va), (_, _, aa) = covariance
+    # F P, of which the rows are
+    xx, xv, xa = xx + dt * xv + half * xa, xv + dt * vv + half * va, xa + dt * va + half * aa
+    vv, va = vv + dt * va, va + dt * aa
+    # and that times F^T
+    xx, xv, vv = xx + dt * xv + half * xa, xv + dt * xa, vv + dt * va
+    q = _JERK_DENSITY
+    return (
+        (xx + q * dt**5 / 20, xv + q * dt**4 / 8, xa + q * dt**3 / 6),
+        (0.0, vv + q * dt**3 / 3, va + q * dt**2 / 2),
+        (0.0, 0.0, aa + q * dt),
     )
-    return carry, noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +156,7 @@ def predicted(track: Track, at_ns: int, now_ns: int, foreseen_s: float = FORESEE
         now_ns: the capture time that is answered: a target that is not stamped on that clock rests where it was last.
         foreseen_s: so does one that was not heard of for longer.
     """
-    x, v, a = track.state
+    x, v, a = np.array(track.state)
     since_s = (now_ns - track.stamp_ns) / NS_PER_S
     if not -_SAME_CLOCK_S <= since_s <= foreseen_s:
         return Moving(x, np.zeros(3))

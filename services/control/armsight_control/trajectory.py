@@ -25,7 +25,7 @@ from ruckig import (
 )
 
 from armsight.times import NS_PER_S
-from armsight_control.chain import Array, Chain
+from armsight_control.chain import Array, Chain, farthest
 from armsight_control.errors import ControlError
 
 # One hundredth of a millimetre at the tip: what is nearer is there.
@@ -129,6 +129,7 @@ class Planner:
         """Sets up the planner's memory once."""
         self._chain, self._limits = chain, limits
         self._speed = limits.speed(chain)
+        self._speeds: list[float] = self._speed.tolist()
         self._planner = Ruckig(chain.count)
         self._way, self._stop = Trajectory(chain.count), Trajectory(chain.count)
         self._plan: _Plan | None = None
@@ -146,25 +147,37 @@ class Planner:
             dt_s: how long the step is.
             slow: share of the speed limits to keep to, above 0: a setpoint that is faster slows down first.
         """
-        speed = self._speed * slow
-        position = self._chain.clip(goal.position)
-        most = np.where(position == goal.position, _GOAL_SHARE * speed, 0.0)
-        moving = np.clip(goal.velocity, -most, most)
-        goal, done_s = Goal(position, moving), self._done(state, Goal(position, moving), slow)
-        if done_s == 0.0:
-            plan = self._to_goal
-            plan.current_position = (state.position - position + moving * dt_s).tolist()
-            plan.current_velocity = (state.velocity - moving).tolist()
-            plan.current_acceleration = state.acceleration.tolist()
-            plan.max_velocity = (speed - moving).tolist()
-            plan.min_velocity = (-speed - moving).tolist()
-            if not self._calculate(plan, self._way):
-                return self.brake(state, dt_s)
+        goal = self._kept(goal, slow)
+        done_s = self._done(state, goal, slow)
+        if done_s == 0.0 and not self._plan_to(goal, state, dt_s, slow):
+            return self.brake(state, dt_s)
         at = _at(self._way, done_s + dt_s)
-        there = State(at.position + position, at.velocity + moving, at.acceleration)
+        there = State(at.position + goal.position, at.velocity + goal.velocity, at.acceleration)
         stepped = self._within_limits(state, there, dt_s)
         self._plan = None if any(stepped.braked) else _Plan(goal, slow, done_s + dt_s, stepped.state)
         return stepped
+
+    def _kept(self, goal: Goal, slow: float) -> Goal:
+        """The goal within the limits, no faster than can be kept up with; at rest where it is beyond a limit."""
+        position, moving = [], []
+        goals = zip(goal.position.tolist(), goal.velocity.tolist(), self._speeds, self._chain.bounds, strict=True)
+        for angle, rate, speed, (lower, upper) in goals:
+            inside = min(max(angle, lower), upper)
+            most = _GOAL_SHARE * (speed * slow) if inside == angle else 0.0
+            position.append(inside)
+            moving.append(min(max(rate, -most), most))
+        return Goal(np.array(position), np.array(moving))
+
+    def _plan_to(self, goal: Goal, state: State, dt_s: float, slow: float) -> bool:
+        """Plans the way to the goal of this step, in the goal's own frame; false where there is none."""
+        plan, moving, speeds = self._to_goal, goal.velocity.tolist(), [speed * slow for speed in self._speeds]
+        ways = zip(state.position.tolist(), goal.position.tolist(), moving, strict=True)
+        plan.current_position = [angle - there + rate * dt_s for angle, there, rate in ways]
+        plan.current_velocity = [now - rate for now, rate in zip(state.velocity.tolist(), moving, strict=True)]
+        plan.current_acceleration = state.acceleration.tolist()
+        plan.max_velocity = [speed - rate for speed, rate in zip(speeds, moving, strict=True)]
+        plan.min_velocity = [-speed - rate for speed, rate in zip(speeds, moving, strict=True)]
+        return self._calculate(plan, self._way)
 
     def _done(self, state: State, goal: Goal, slow: float) -> float:
         """Seconds of the way in hand that are done; 0 where it is not the way from this state to this goal."""
@@ -187,7 +200,7 @@ class Planner:
 
     def _within_limits(self, state: State, there: State, dt_s: float) -> Stepped:
         passed = self._passes_limit(there)
-        if not passed.any():
+        if not any(passed):
             return Stepped(there, (False,) * self._chain.count)
         stop = self.brake(state, dt_s).state
         kept = self._clipped(
@@ -197,28 +210,29 @@ class Planner:
                 np.where(passed, stop.acceleration, there.acceleration),
             )
         )
-        return Stepped(kept, tuple(passed.tolist()))
+        return Stepped(kept, tuple(passed))
 
-    def _passes_limit(self, state: State) -> Array:
+    def _passes_limit(self, state: State) -> list[bool]:
         """Which joints would pass a limit if they braked from here."""
-        lower, upper = self._chain.limits.T
-        if self._towards_speed(state, np.zeros_like(state.velocity), 0.0) is None:
-            return np.ones(self._chain.count, dtype=np.bool_)
-        extrema = self._stop.position_extrema
-        least, most = np.array([bound.min for bound in extrema]), np.array([bound.max for bound in extrema])
-        return np.asarray((least < lower) | (most > upper))
+        if not self._plan_speed(state, [0.0] * self._chain.count):
+            return [True] * self._chain.count
+        bounds = zip(self._stop.position_extrema, self._chain.bounds, strict=True)
+        return [way.min < lower or way.max > upper for way, (lower, upper) in bounds]
 
     def _clipped(self, state: State) -> State:
         # rounding alone: braking was found to end within the limits before this motion was begun
         return replace(state, position=self._chain.clip(state.position))
 
     def _towards_speed(self, state: State, velocity: Array, dt_s: float) -> State | None:
+        return _at(self._stop, dt_s) if self._plan_speed(state, velocity.tolist()) else None
+
+    def _plan_speed(self, state: State, velocity: list[float]) -> bool:
         plan = self._to_speed
         plan.current_position = state.position.tolist()
         plan.current_velocity = state.velocity.tolist()
         plan.current_acceleration = state.acceleration.tolist()
-        plan.target_velocity = velocity.tolist()
-        return _at(self._stop, dt_s) if self._calculate(plan, self._stop) else None
+        plan.target_velocity = velocity
+        return self._calculate(plan, self._stop)
 
     def _calculate(self, plan: InputParameter, trajectory: Trajectory) -> bool:
         try:
@@ -324,10 +338,11 @@ def along(path: Path, where: OnPath, state: State, step: Step) -> tuple[Goal, On
     if where.anchor is not None:
         anchor_ns, anchor_s = where.anchor
         time_s = anchor_s + (step.capture_ns - anchor_ns) / NS_PER_S
-        if np.abs(path(time_s) - state.position).max() <= _OFF_PATH_RAD:
+        there = path(time_s)
+        if farthest(there, state.position) <= _OFF_PATH_RAD:
             velocity = (path(time_s + _DERIVATIVE_S) - path(time_s - _DERIVATIVE_S)) / (2 * _DERIVATIVE_S)
-            return Goal(path(time_s), velocity), OnPath(time_s, where.anchor)
+            return Goal(there, velocity), OnPath(time_s, where.anchor)
     begin = path(where.time_s)
-    if np.abs(begin - state.position).max() <= ARRIVED_RAD:
+    if farthest(begin, state.position) <= ARRIVED_RAD:
         return resting(begin), OnPath(where.time_s, (step.capture_ns, where.time_s))
     return resting(begin), where.left()

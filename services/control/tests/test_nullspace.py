@@ -4,7 +4,7 @@ import pytest
 from armsight_control.aiming import FREE_JOINTS, aim
 from armsight_control.description import Arm
 from armsight_control.kinematics import forward, jacobian
-from armsight_control.nullspace import cost, damped_inverse, null_motion, smallest_singular_value
+from armsight_control.nullspace import cost, damped_inverse, least_moved, null_motion, smallest_singular_value
 from armsight_control.tracking import Moving
 
 ALL = FREE_JOINTS["all"]
@@ -70,3 +70,14 @@ def test_an_aim_out_of_reach_says_so_and_stays_within_the_limits(free: str, arm:
     best = np.array([0, 0, 4]) + 6 * (point.position - [0, 0, 4]) / np.linalg.norm(point.position - [0, 0, 4])
     missed = np.linalg.norm(found.tip - point.position) - np.linalg.norm(best - point.position)
     assert missed < 0.01
+
+
+@pytest.mark.parametrize("most_m", [0.5, 3.0])
+def test_how_little_the_tip_moves_in_one_direction_is_told_up_to_what_is_asked_for(
+    most_m: float, arm: Arm, rng: np.random.Generator
+) -> None:
+    for q in rng.uniform(arm.chain.limits[:, 0], arm.chain.limits[:, 1], size=(100, 4)):
+        by_joint = jacobian(arm.chain, q)[:, [0, 2, 3]]
+        least = np.linalg.svd(by_joint, compute_uv=False)[-1]
+        columns = [(x, y, z) for x, y, z in by_joint.T.tolist()]
+        assert least_moved(columns, most_m) == pytest.approx(min(most_m, least), abs=1e-12)

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armsight_control.spread import largest_variance
+from armsight_control.spread import inverse, is_positive, largest_variance
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-12, 6), st.floats(0, 6))
@@ -19,3 +19,20 @@ def test_equal_and_vanishing_variances() -> None:
     assert largest_variance(np.zeros((3, 3))) == 0.0
     assert largest_variance(np.diag([1e-300, 0.0, 0.0])) >= 0.0
     np.testing.assert_allclose(largest_variance(np.diag([-1.0, 2.0, -3.0])), 2.0)
+
+
+def test_the_inverse_of_a_covariance_is_numpys_even_where_it_is_vague_in_one_direction(
+    rng: np.random.Generator,
+) -> None:
+    for vague_m in (0.003, 0.1, 10.0):
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        covariance = turn @ np.diag([0.003, 0.004, vague_m]) ** 2 @ turn.T
+        found = np.array(inverse(covariance.tolist()))
+        np.testing.assert_allclose(found @ covariance, np.eye(3), atol=1e-8)
+
+
+def test_a_matrix_is_positive_where_all_of_its_eigenvalues_are(rng: np.random.Generator) -> None:
+    for _ in range(200):
+        matrix = rng.normal(size=(3, 3))
+        matrix = matrix + matrix.T + 2.0 * np.eye(3)
+        assert is_positive(matrix.tolist()) == (np.linalg.eigvalsh(matrix)[0] > 0)

@@ -6,6 +6,7 @@ an uncertainty that grows.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -56,7 +57,7 @@ _UNKNOWN_RAD = 10.0
 # The report's definition of observable: 2 mm on every marker move the joint by less than 10 mrad. A marker vaguer than
 # 20 mm counts by its own covariance.
 _NOISE_M, _VAGUE_M, _OBSERVABLE_RAD = 0.002, 0.020, 0.010
-_AS_REPORTED = np.eye(3) / _NOISE_M**2
+_AS_REPORTED = (np.eye(3) / _NOISE_M**2).tolist()
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,13 +120,14 @@ class AllJoints:
                     prior = at_rest(found.q, _START_RAD, _START_RAD_S)
                     best = self._fit(readings, prior)
         moving = updated(prior, best.q, np.asarray(np.linalg.inv(best.information), dtype=np.float64))
-        by_tip = best.placed.jacobians[-1]
-        spread = largest_variance(by_tip @ moving.angles_covariance @ by_tip.T)
-        sigma = np.sqrt(np.diagonal(moving.angles_covariance))
+        _, columns = best.placed.found[-1]
+        by_tip = np.array(columns)
+        spread = largest_variance(by_tip.T @ moving.angles_covariance @ by_tip)
+        sigma = np.sqrt(moving.angles_covariance.diagonal())
         estimate = Estimate(
             estimator=NAME,
             angles=moving.q,
-            observable=_told(readings, best.placed),
+            told=partial(_told, readings, best.placed),
             misfit=(best.misfit / max(1, 3 * len(readings.rows))) ** 0.5,
             sigma=sigma,
             velocity=moving.v,
@@ -155,8 +157,9 @@ class AllJoints:
 
     def _is_wrong(self, best: Fit, found: Fit, readings: Readings) -> bool:
         """Whether what was predicted has to be left for what the markers alone say."""
-        off = readings.points - best.placed.points[readings.rows]
-        denied = np.einsum("mi,mij,mj->m", off, readings.weights, off) > _GATE
+        off = np.array(readings.points).reshape(-1, 3) - best.placed.points[readings.rows]
+        weights = np.array(readings.weights).reshape(-1, 3, 3)
+        denied = np.einsum("mi,mij,mj->m", off, weights, off) > _GATE
         agree = denied.sum() > 1 and found.misfit <= _GATE * len(readings.rows)
         elsewhere = np.abs(found.q - best.q).max() > _ELSEWHERE_RAD
         return bool((agree or elsewhere) and found.misfit + _FAR_BETTER < best.misfit)
@@ -179,10 +182,11 @@ def _surprise(best: Fit, prior: Moving) -> float:
 
 def _told(readings: Readings, placed: Placed) -> tuple[bool, ...]:
     """Which joints the markers of this instant tell."""
-    joints = placed.jacobians.shape[2]
-    jacobians = placed.jacobians[readings.rows]
-    weights = np.where(readings.spreads[:, None, None] > _VAGUE_M, readings.weights, _AS_REPORTED)
-    information = jacobians.reshape(-1, joints).T @ (weights @ jacobians).reshape(-1, joints)
+    joints = len(placed.found[-1][1])
+    information = np.zeros((joints, joints))
+    for row, weight, spread in zip(readings.rows, readings.weights, readings.spreads, strict=True):
+        columns = np.array(placed.found[row][1])
+        information += columns @ np.array(weight if spread > _VAGUE_M else _AS_REPORTED) @ columns.T
     # so little that a joint which nothing tells comes out as not told instead of as a singular matrix
-    variances = np.diagonal(np.linalg.inv(information + np.eye(joints) * 1e-6))
+    variances = np.linalg.inv(information + np.eye(joints) * 1e-6).diagonal()
     return tuple((variances < _OBSERVABLE_RAD**2).tolist())

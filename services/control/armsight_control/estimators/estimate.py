@@ -1,7 +1,9 @@
 """What an estimator says of one instant."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,20 +14,25 @@ from armsight_control.kinematics import directions
 _MISFIT_MAX = 0.15
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Estimate:
     """Angles of all joints, in radians."""
 
     estimator: str
     angles: Array
-    observable: tuple[bool, ...]
-    """False where the angle is not measured: held in gimbal lock, or taken as fixed."""
+    told: Callable[[], tuple[bool, ...]]
+    """Finds out :attr:`observable`: the arm waits for the angles, not for this."""
     misfit: float
     """How far the directions that follow from the angles are from the measured ones, as a length of unit vectors."""
     sigma: Array | None = None
     """One standard deviation of every joint, where the estimator knows it."""
     velocity: Array | None = None
     """Of every joint, rad/s, where the estimator knows it."""
+
+    @cached_property
+    def observable(self) -> tuple[bool, ...]:
+        """False where the angle is not measured: held in gimbal lock, or taken as fixed."""
+        return self.told()
 
 
 def judge(estimator: str, angles: Array, observable: tuple[bool, ...], r3: Array, r4: Array) -> Estimate:
@@ -34,7 +41,7 @@ def judge(estimator: str, angles: Array, observable: tuple[bool, ...], r3: Array
     misfit = max(float(np.linalg.norm(r3_again - r3)), float(np.linalg.norm(r4_again - r4)))
     if misfit > _MISFIT_MAX:
         observable = (False,) * len(observable)
-    return Estimate(estimator, angles, observable, misfit)
+    return Estimate(estimator, angles, lambda: observable, misfit)
 
 
 def angle_between(first: Array, second: Array) -> float:

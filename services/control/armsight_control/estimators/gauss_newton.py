@@ -8,19 +8,22 @@ with Huber's :math:`\rho`: a marker whose covariance denies its error counts for
 and information of the prior, :math:`f` the floor and :math:`k` the number of readings that are worth one.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import mul
 
 import numpy as np
-from numpy.typing import NDArray
 
-from armsight_control.chain import Array
+from armsight_control.chain import Array, Rows, Triple
+from armsight_control.estimators.definite import solved
 from armsight_control.estimators.marker_model import MarkerModel, Placed
 from armsight_control.positions import Positions
+from armsight_control.spread import inverse
 
 # Systematic errors that no covariance of a single frame knows: of the lens' and sphere's model, one camera pixel being
 # 38 mm. It keeps a marker that claims micrometres from outweighing all others.
 FLOOR_M = 1e-3
-_FLOOR = np.eye(3) * FLOOR_M**2
 # Normalised errors of more than this are not of the stated distribution (0.1 % of three normal variables are beyond).
 _HUBER_SIGMAS = 4.0
 # No step is longer: from far away the linear model is wrong.
@@ -31,15 +34,15 @@ _CONVERGED_RAD = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """The markers that were seen at one instant, as arrays."""
+    """The markers that were seen at one instant, in plain floats."""
 
-    rows: NDArray[np.intp]
+    rows: list[int]
     """Their indices in the model."""
-    points: Array
+    points: list[Triple]
     """(markers, 3), base frame, metres."""
-    weights: Array
+    weights: list[Rows]
     """(markers, 3, 3): inverse covariances, floor included, 1/m²."""
-    spreads: Array
+    spreads: list[float]
     """(markers,): standard deviation, all directions together, metres."""
 
 
@@ -67,14 +70,18 @@ class Fit:
 
 def readings_of(positions: Positions, model: MarkerModel) -> Readings:
     """The markers of one instant that tell anything of the angles."""
-    names = [name for name in model.names if name in positions.seen]
-    covariances = np.array([positions.seen[name].covariance for name in names]).reshape(-1, 3, 3)
-    return Readings(
-        rows=np.array([model.index[name] for name in names], dtype=np.intp),
-        points=np.array([positions.seen[name].position for name in names]).reshape(-1, 3),
-        weights=np.asarray(np.linalg.inv(covariances + _FLOOR), dtype=np.float64),
-        spreads=np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1] + covariances[:, 2, 2]),
-    )
+    readings, floor = Readings([], [], [], []), FLOOR_M**2
+    for row, name in enumerate(model.names):
+        marker = positions.seen.get(name)
+        if marker is None:
+            continue
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = marker.covariance.tolist()
+        x, y, z = marker.position.tolist()
+        readings.rows.append(row)
+        readings.points.append((x, y, z))
+        readings.weights.append(inverse(((xx + floor, xy, xz), (xy, yy + floor, yz), (xz, yz, zz + floor))))
+        readings.spreads.append(math.sqrt(xx + yy + zz))
+    return readings
 
 
 def fit(model: MarkerModel, readings: Readings, prior: Belief, start: Array, worth: float, steps: int) -> Fit:
@@ -88,37 +95,72 @@ def fit(model: MarkerModel, readings: Readings, prior: Belief, start: Array, wor
         worth: of one instant's reading as a share of an independent one, ``1 / k`` above.
         steps: at most so many.
     """
-    limits, q = model.chain.limits, start
+    chain, mean, known = model.chain, prior.mean.tolist(), prior.information.tolist()
+    q = start.tolist()
     for _ in range(steps):
         placed = model.at(q)
-        residuals = readings.points - placed.points[readings.rows]
-        jacobians = placed.jacobians[readings.rows]
-        weighted = (readings.weights @ residuals[:, :, None])[:, :, 0]
-        squares = (weighted * residuals).sum(axis=1)
-        shares = worth * np.minimum(1.0, _HUBER_SIGMAS / np.sqrt(np.maximum(squares, 1e-12)))
-        scaled = (readings.weights * shares[:, None, None]) @ jacobians
-        flat = jacobians.reshape(-1, len(q))
-        information = prior.information + flat.T @ scaled.reshape(-1, len(q))
-        gradient = prior.information @ (prior.mean - q) + scaled.reshape(-1, len(q)).T @ residuals.ravel()
-        step = np.linalg.solve(information, gradient)
-        longest = float(np.abs(step).max())
+        information, gradient = _normal_equations(readings, placed, known, mean, q, worth)
+        step = solved(information, gradient)
+        longest = max(map(abs, step))
         if longest > _LONGEST_STEP_RAD:
-            step *= _LONGEST_STEP_RAD / longest
-        moved = _within(q + step, information, limits)
-        last, q = moved - q, moved
-        if np.abs(last).max() < _CONVERGED_RAD:
+            step = [each * (_LONGEST_STEP_RAD / longest) for each in step]
+        moved = [angle + each for angle, each in zip(q, step, strict=True)]
+        if not all(lower <= angle <= upper for angle, (lower, upper) in zip(moved, chain.bounds, strict=True)):
+            moved = _within(np.array(moved), np.array(information), chain.limits).tolist()
+        last, q = [after - before for after, before in zip(moved, q, strict=True)], moved
+        if max(map(abs, last)) < _CONVERGED_RAD:
             break
-    residuals = residuals - jacobians @ last
-    misfit = float(((readings.weights @ residuals[:, :, None])[:, :, 0] * residuals).sum())
-    return Fit(q, information, misfit, placed)
+    return Fit(np.array(q), np.array(information), _misfit(readings, placed, last), placed)
+
+
+def _normal_equations(
+    readings: Readings, placed: Placed, known: Rows, mean: Sequence[float], q: Sequence[float], worth: float
+) -> tuple[list[list[float]], list[float]]:
+    r""":math:`\Lambda + \sum_i w_i J_i^T W_i J_i` and :math:`\Lambda (\bar q - q) + \sum_i w_i J_i^T W_i r_i`.
+
+    W is the inverse covariance of a reading, r what it is off by, w its share by Huber's rule.
+    """
+    off = [there - here for there, here in zip(mean, q, strict=True)]
+    information = [list(row) for row in known]
+    gradient = [sum(map(mul, row, off)) for row in known]
+    for row, point, weight in zip(readings.rows, readings.points, readings.weights, strict=True):
+        (x, y, z), columns = placed.found[row]
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = weight
+        r, s, t = point[0] - x, point[1] - y, point[2] - z
+        square = r * (xx * r + 2.0 * (xy * s + xz * t)) + s * (yy * s + 2.0 * yz * t) + zz * t * t
+        share = worth * min(1.0, _HUBER_SIGMAS / math.sqrt(max(square, 1e-12)))
+        for i, (u, v, w) in enumerate(columns):
+            a = share * (xx * u + xy * v + xz * w)
+            b = share * (xy * u + yy * v + yz * w)
+            c = share * (xz * u + yz * v + zz * w)
+            gradient[i] += a * r + b * s + c * t
+            line = information[i]
+            for j in range(i + 1):
+                k, l, m = columns[j]  # noqa: E741
+                line[j] += a * k + b * l + c * m
+    for i, line in enumerate(information):
+        for j in range(i):
+            information[j][i] = line[j]
+    return information, gradient
+
+
+def _misfit(readings: Readings, placed: Placed, step: Sequence[float]) -> float:
+    """Chi squared of the markers once a step was taken, by the Jacobians before it."""
+    total = 0.0
+    for row, point, weight in zip(readings.rows, readings.points, readings.weights, strict=True):
+        (x, y, z), columns = placed.found[row]
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = weight
+        r, s, t = point[0] - x, point[1] - y, point[2] - z
+        for (u, v, w), each in zip(columns, step, strict=True):
+            r, s, t = r - u * each, s - v * each, t - w * each
+        total += r * (xx * r + 2.0 * (xy * s + xz * t)) + s * (yy * s + 2.0 * yz * t) + zz * t * t
+    return total
 
 
 def _within(q: Array, information: Array, limits: Array) -> Array:
     """Conditions the angles on their limits: where one is at its end, the others follow by what ties them to it."""
     inside = np.clip(q, limits[:, 0], limits[:, 1])
     ended = inside != q
-    if not ended.any():
-        return q
     free = ~ended
     if free.any():
         tied = information[np.ix_(free, ended)] @ (inside - q)[ended]

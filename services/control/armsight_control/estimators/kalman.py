@@ -12,7 +12,7 @@ and :math:`s \Delta t^2/2` between them.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -56,13 +56,18 @@ def predicted(state: Moving, dt_s: float, change: Array, density: Array) -> Movi
     """
     n = len(state.q)
     v = state.v + change
-    covariance = state.covariance.copy()
-    covariance[:n] += dt_s * covariance[n:]
-    covariance[:, :n] += dt_s * covariance[:, n:]
-    noise = np.array([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]])[:, :, None] * density
-    blocks = np.einsum("aibi->abi", covariance.reshape(2, n, 2, n))  # a view of the four blocks' diagonals
-    blocks += noise
+    carry, noise = _model(n, dt_s)
+    covariance = carry @ state.covariance @ carry.T + noise * np.concatenate([density, density])
     return Moving(state.q + v * dt_s, v, covariance)
+
+
+@lru_cache(maxsize=64)
+def _model(n: int, dt_s: float) -> tuple[Array, Array]:
+    """Transition, and noise of density 1, over ``dt_s`` seconds: frames come at few different intervals."""
+    each = np.eye(n)
+    carry = np.array([[1.0, dt_s], [0.0, 1.0]])
+    noise = np.array([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]])
+    return np.asarray(np.kron(carry, each)), np.asarray(np.kron(noise, each))
 
 
 def loosened(state: Moving, dt_s: float, acceleration: float) -> Moving:

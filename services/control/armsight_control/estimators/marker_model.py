@@ -3,23 +3,33 @@ r"""Where the markers of any serial chain are, and how they move with its joints
 They are :mod:`..kinematics`' own, with every joint's frame computed once for all points.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from armsight_control.chain import Array
+from armsight_control.chain import Array, Triple
 from armsight_control.description import Arm
 from armsight_control.kinematics import points_and_columns
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Placed:
     """The points of a model at one configuration; base frame, metres and radians."""
 
-    points: Array
-    """(points, 3)."""
-    jacobians: Array
-    """(points, 3, joints)."""
+    found: Sequence[tuple[Triple, Sequence[Triple]]]
+    """Each point with the columns of its Jacobian, one for every joint, in plain floats."""
+
+    @cached_property
+    def points(self) -> Array:
+        """(points, 3)."""
+        return np.array([point for point, _ in self.found])
+
+    @cached_property
+    def jacobians(self) -> Array:
+        """(points, 3, joints)."""
+        return np.array([columns for _, columns in self.found]).transpose(0, 2, 1)
 
 
 class MarkerModel:
@@ -39,7 +49,6 @@ class MarkerModel:
         self.index = {name: i for i, name in enumerate(names)}
         self._points = [*(arm.markers[name] for name in names), arm.chain.tip]
 
-    def at(self, q: Array) -> Placed:
+    def at(self, q: Array | Sequence[float]) -> Placed:
         """Everything at the angles ``q``, (joints,), in radians; limits are not checked here."""
-        points, columns = zip(*points_and_columns(self.chain, q, self._points), strict=True)
-        return Placed(np.array(points), np.array(columns).transpose(0, 2, 1))
+        return Placed(list(points_and_columns(self.chain, q, self._points)))

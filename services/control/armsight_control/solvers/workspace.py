@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight_control.chain import Array
+from armsight_control.chain import Array, Triple
 from armsight_control.kinematics import Links
 
 Moving = Literal["joint 2 at 0", "all four"]
@@ -37,14 +37,22 @@ def nearest_reachable(
         azimuth: where to turn to for a target on the z-axis, which lies equally near to points all round it.
         moving: which joints may move.
     """
-    rho, h = math.hypot(target[0], target[1]), float(target[2]) - links.l1
+    x, y, z = target.tolist()
+    near = nearest_point(links, (x, y, z), azimuth, moving)
+    return (target, True) if near is None else (np.array(near), False)
+
+
+def nearest_point(links: Links, target: Triple, azimuth: float, moving: Moving = "joint 2 at 0") -> Triple | None:
+    """As :func:`nearest_reachable`, in plain floats; nothing where the target itself is reached."""
+    x, y, z = target
+    rho, h = math.hypot(x, y), z - links.l1
     if reaches(links, rho, h, moving):
-        return target, True
+        return None
     near_rho, near_h = _nearest(links, rho, h, moving)
     if math.hypot(near_rho - rho, near_h - h) <= TOLERANCE_M:
-        return target, True
-    x, y = (target[0] / rho, target[1] / rho) if rho > TOLERANCE_M else (math.cos(azimuth), math.sin(azimuth))
-    return np.array([near_rho * x, near_rho * y, near_h + links.l1]), False
+        return None
+    x, y = (x / rho, y / rho) if rho > TOLERANCE_M else (math.cos(azimuth), math.sin(azimuth))
+    return near_rho * x, near_rho * y, near_h + links.l1
 
 
 def reached(links: Links, targets: Array, moving: Moving) -> NDArray[np.bool_]:
