@@ -203,7 +203,8 @@ class _Painter:
         finally:
             os.close(descriptor)
             theirs.close()
-        self._connection.send(commission)
+        with suppress(OSError):  # told by wait()
+            self._connection.send(commission)
 
     def ask(self, wanted: bytes) -> None:
         """Has the pictures painted; that they can't be is told by :meth:`wait`."""
