@@ -17,7 +17,7 @@ from pictures import SAMPLES, SIZE, measure  # first: it chooses what MuJoCo dra
 import mujoco  # isort: skip
 
 from armsight_sim import description
-from armsight_sim.cameras import Cameras
+from armsight_sim.cameras import Cameras, Commission
 from armsight_sim.world import World, load_model
 
 FINER = 3
@@ -34,7 +34,7 @@ def measure_errors_px(seed: int, poses: int) -> npt.NDArray[np.float64]:
     model = _markers_alone()
     world = World(model, 1 / 30)
     names = description.camera_names(model)
-    cameras = Cameras(model, names, FINER * SIZE, FINER * SIZE, SAMPLES)
+    cameras = Cameras(Commission(model, names, FINER * SIZE, FINER * SIZE, SAMPLES))
     random = np.random.default_rng(seed)
     errors: list[float] = []
     try:

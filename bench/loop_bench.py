@@ -278,11 +278,11 @@ def instants_a_second(samples: int) -> float:
 def renders_a_second(samples: int) -> float:
     """Pairs of frames that MuJoCo alone draws."""
     choose_gl()
-    from armsight_sim.cameras import Cameras
+    from armsight_sim.cameras import Cameras, Commission
     from armsight_sim.world import World, load_model
 
     world = World(load_model(), 1 / RATE_HZ)
-    cameras = Cameras(world.model, ["1", "2"], 800, 800, samples)
+    cameras = Cameras(Commission(world.model, ["1", "2"], 800, 800, samples))
     for _ in range(10):
         cameras.draw(world.data)
     began = time.monotonic()

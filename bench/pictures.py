@@ -25,7 +25,7 @@ from armsight_operator.report.chain import arm_of
 from armsight_operator.report.markers import Sample, samples_of
 from armsight_operator.stack.executables import find_executable
 from armsight_sim import description
-from armsight_sim.cameras import Cameras
+from armsight_sim.cameras import Cameras, Commission
 from armsight_sim.world import World, load_model
 
 SIZE = 800
@@ -83,7 +83,7 @@ class Scene:
 def scene() -> Iterator[Scene]:
     """Opens the cameras, and closes them."""
     model = load_model()
-    cameras = Cameras(model, description.camera_names(model), SIZE, SIZE, SAMPLES)
+    cameras = Cameras(Commission(model, description.camera_names(model), SIZE, SIZE, SAMPLES))
     try:
         yield Scene(cameras, model)
     finally:

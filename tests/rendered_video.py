@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from armsight_sim.cameras import Cameras
+from armsight_sim.cameras import Cameras, Commission
 from armsight_sim.world import load_model
 
 Array = npt.NDArray[np.float64]
@@ -86,7 +86,7 @@ class ArmFilm:
         half = np.float32(side / 2)
         for name, (across, down) in self._maps.items():
             self._maps[name] = (across + 1) * half - np.float32(0.5), (down + 1) * half - np.float32(0.5)
-        self._cameras = Cameras(model, tuple(LENSES), side, side, 4)
+        self._cameras = Cameras(Commission(model, tuple(LENSES), side, side, 4))
 
     def take(self, q: Sequence[float]) -> dict[str, Picture]:
         """One picture for each camera at a pose."""

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -24,53 +25,56 @@ def facet_shrinkage(slices: int, stacks: int) -> float:
     return 1.0 - 0.2 * ((np.pi / slices) ** 2 + (np.pi / (2 * stacks)) ** 2)
 
 
+@dataclass(frozen=True, slots=True)
+class Commission:
+    """What is to be drawn, and how."""
+
+    model: mujoco.MjModel
+    """Left as it is."""
+    names: Sequence[str]
+    """Of the cameras; none needs no OpenGL."""
+    width: int
+    """Columns of the images of cameras whose `resolution` says nothing."""
+    height: int
+    """Rows of these."""
+    samples: int
+    """Per pixel, 0 or 4 (software GL gives no more)."""
+    emissive: bool = False
+    """Whether spheres with a material shine evenly, whatever the light."""
+    groups: Sequence[int] = ()
+    """Of geoms that are drawn beside those that MuJoCo shows by itself."""
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        """Of the cameras' images in the order of the names: columns and rows."""
+        return [picture_size(self.model, name, self.width, self.height) for name in self.names]
+
+
 class Cameras:
     """All cameras of a model, drawn one after the other, in one OpenGL context for each size of picture.
 
     Use from one thread; close it.
     """
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        names: Sequence[str],
-        width: int,
-        height: int,
-        samples: int,
-        *,
-        emissive: bool = False,
-        groups: Sequence[int] = (),
-    ) -> None:
-        """Allocates the contexts.
-
-        Args:
-            model: left as it is.
-            names: of the cameras to draw; none needs no OpenGL.
-            width: columns of the images of cameras whose `resolution` says nothing.
-            height: rows of these.
-            samples: per pixel, 0 or 4 (software GL gives no more).
-            emissive: spheres with a material shine evenly, whatever the light.
-            groups: of geoms that are drawn beside those that MuJoCo shows by itself.
-        """
-        self._names = tuple(names)
-        drawn = copy.copy(model)
-        drawn.vis.quality.offsamples = samples
+    def __init__(self, wanted: Commission) -> None:
+        """Allocates the contexts."""
+        drawn = copy.copy(wanted.model)
+        drawn.vis.quality.offsamples = wanted.samples
         spheres = drawn.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
         shrinkage = facet_shrinkage(drawn.vis.quality.numslices, drawn.vis.quality.numstacks)
         drawn.geom_size[spheres] /= shrinkage
         drawn.site_size[drawn.site_type == mujoco.mjtGeom.mjGEOM_SPHERE] /= shrinkage
-        if emissive:
+        if wanted.emissive:
             materials = np.unique(drawn.geom_matid[spheres])
             drawn.mat_emission[materials[materials >= 0]] = 1.0
-        self.sizes = [picture_size(model, name, width, height) for name in names]
-        """Of the cameras' images in their order: columns and rows."""
+        self._names, self._sizes = tuple(wanted.names), wanted.sizes
         buffer = drawn.vis.global_
-        buffer.offwidth = max((buffer.offwidth, *(columns for columns, _ in self.sizes)))
-        buffer.offheight = max((buffer.offheight, *(rows for _, rows in self.sizes)))
+        buffer.offwidth = max((buffer.offwidth, *(columns for columns, _ in self._sizes)))
+        buffer.offheight = max((buffer.offheight, *(rows for _, rows in self._sizes)))
         self._drawn = drawn
-        self._renderers = {size: mujoco.Renderer(drawn, size[1], size[0]) for size in dict.fromkeys(self.sizes)}
+        self._renderers = {size: mujoco.Renderer(drawn, size[1], size[0]) for size in dict.fromkeys(self._sizes)}
         self._options = mujoco.MjvOption()
-        self._options.geomgroup[list(groups)] = 1
+        self._options.geomgroup[list(wanted.groups)] = 1
         flags = mujoco.mjtRndFlag
         # shadows alone cost six times the rest; the backdrops stand in place of sky and haze
         for flag in (flags.mjRND_SHADOW, flags.mjRND_REFLECTION, flags.mjRND_HAZE, flags.mjRND_FOG, flags.mjRND_SKYBOX):
@@ -96,7 +100,7 @@ class Cameras:
         """
         meanwhile()
         places = [None] * len(self._names) if into is None else into
-        return [self._draw(data, *each) for each in zip(self._names, self.sizes, places, strict=True)]
+        return [self._draw(data, *each) for each in zip(self._names, self._sizes, places, strict=True)]
 
     def close(self) -> None:
         """Frees the contexts; OSMesa's fail at exit when they are left to the interpreter."""

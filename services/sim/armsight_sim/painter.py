@@ -10,24 +10,22 @@ from multiprocessing.connection import Connection
 import mujoco
 import numpy as np
 
-from armsight_sim.cameras import Cameras
-from armsight_sim.painters import STATE, Commission, pictures_in
+from armsight_sim.cameras import Cameras, Commission
+from armsight_sim.painters import STATE, bytes_of, pictures_in
 
 
 def main(descriptor: int, memory: int) -> None:
     """Paints until the connection ends."""
     connection: Connection = Connection(descriptor)
     commission: Commission = connection.recv()
-    model, size = commission.model, (commission.width, commission.height)
+    model = commission.model
     try:
-        cameras = Cameras(
-            model, commission.names, *size, commission.samples, emissive=commission.emissive, groups=commission.groups
-        )
+        cameras = Cameras(commission)
     except Exception as error:  # whatever OpenGL has to say
         connection.send_bytes(str(error).encode() or b"no reason told")
         return
     data = mujoco.MjData(model)
-    pictures = pictures_in(mmap.mmap(memory, commission.size), commission.shapes)
+    pictures = pictures_in(mmap.mmap(memory, bytes_of(commission)), commission)
     connection.send_bytes(b"")
     while True:
         try:

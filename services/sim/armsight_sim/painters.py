@@ -12,7 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from time import monotonic
@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from armsight.counters import Counters
-from armsight_sim.cameras import Image, picture_size
+from armsight_sim.cameras import Commission, Image
 from armsight_sim.errors import RenderError
 
 log = logging.getLogger(__name__)
@@ -40,36 +40,17 @@ _LOOK_S = 0.1
 _THREADS = "LP_NUM_THREADS"
 
 
-@dataclass(frozen=True, slots=True)
-class Commission:
-    """What one painter draws, as :class:`~armsight_sim.cameras.Cameras` takes it."""
-
-    model: mujoco.MjModel
-    names: Sequence[str]
-    width: int
-    height: int
-    samples: int
-    emissive: bool
-    groups: Sequence[int]
-
-    @property
-    def shapes(self) -> list[tuple[int, int, int]]:
-        """Of the pictures in the order of the names: rows, columns, 3."""
-        sizes = [picture_size(self.model, name, self.width, self.height) for name in self.names]
-        return [(height, width, 3) for width, height in sizes]
-
-    @property
-    def size(self) -> int:
-        """Bytes of all pictures."""
-        return sum(rows * columns * channels for rows, columns, channels in self.shapes)
+def bytes_of(wanted: Commission) -> int:
+    """Of all pictures."""
+    return sum(columns * rows * 3 for columns, rows in wanted.sizes)
 
 
-def pictures_in(memory: mmap.mmap, shapes: Sequence[tuple[int, int, int]]) -> list[Image]:
-    """Pictures one behind the other in a memory that two processes have."""
+def pictures_in(memory: mmap.mmap, wanted: Commission) -> list[Image]:
+    """The pictures, one behind the other in a memory that two processes have."""
     found, start = [], 0
-    for shape in shapes:
-        size = int(np.prod(shape))
-        found.append(np.frombuffer(memory, np.uint8, size, start).reshape(shape))
+    for columns, rows in wanted.sizes:
+        size = columns * rows * 3
+        found.append(np.frombuffer(memory, np.uint8, size, start).reshape(rows, columns, 3))
         start += size
     return found
 
@@ -77,45 +58,23 @@ def pictures_in(memory: mmap.mmap, shapes: Sequence[tuple[int, int, int]]) -> li
 class Painters:
     """As :class:`~armsight_sim.cameras.Cameras`; a painter that dies is replaced. Use from one thread; close it."""
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        names: Sequence[str],
-        width: int,
-        height: int,
-        samples: int,
-        *,
-        painters: int,
-        counters: Counters,
-        stop: threading.Event,
-        emissive: bool = False,
-        groups: Sequence[int] = (),
-    ) -> None:
+    def __init__(self, wanted: Commission, painters: int, counters: Counters, stop: threading.Event) -> None:
         """Starts the processes, which share the cameras among them.
 
         Args:
-            model: left as it is.
-            names: see :class:`~armsight_sim.cameras.Cameras`, as all that is not said here.
-            width: as there.
-            height: as there.
-            samples: as there.
+            wanted: of all of them together.
             painters: how many; no more than there are cameras are started.
             counters: take the painters that had to be replaced.
             stop: once set, nobody is waited for.
-            emissive: as there.
-            groups: as there.
 
         Raises:
             RenderError: they don't draw, or are not to.
         """
-        self._model, self._counters, self._stop = model, counters, stop
-        self._state: State = np.empty(mujoco.mj_stateSize(model, STATE) + 1)
-        self.light(float(model.vis.headlight.ambient[0]))
-        count = min(painters, len(names))
-        self._painters = [
-            _Painter(Commission(model, names[first::count], width, height, samples, emissive, groups), count)
-            for first in range(count)
-        ]
+        self._model, self._counters, self._stop = wanted.model, counters, stop
+        self._state: State = np.empty(mujoco.mj_stateSize(wanted.model, STATE) + 1)
+        self.light(float(wanted.model.vis.headlight.ambient[0]))
+        names, count = wanted.names, min(painters, len(wanted.names))
+        self._painters = [_Painter(replace(wanted, names=names[first::count]), count) for first in range(count)]
         # by camera: drawn by whom, and which of its pictures
         self._places = [(i % count, i // count) for i in range(len(names))]
         try:
@@ -129,18 +88,8 @@ class Painters:
         """Sets the brightness of the ambient light, 0 to 1."""
         self._state[-1] = ambient
 
-    def draw(
-        self,
-        data: mujoco.MjData,
-        into: Sequence[Image] | None = None,
-        meanwhile: Callable[[], None] = lambda: None,
-    ) -> list[Image]:
-        """One rgb8 image for each camera, the top row first.
-
-        Args:
-            data: of the model.
-            into: images to copy the pictures to (default: what is returned is painted over the next time).
-            meanwhile: what is to be done while they are painted; once.
+    def draw(self, data: mujoco.MjData, into: Sequence[Image], meanwhile: Callable[[], None]) -> None:
+        """As :meth:`Cameras.draw <armsight_sim.cameras.Cameras.draw>`, but that what is done meanwhile is beside.
 
         Raises:
             RenderError: a picture could not be painted, by a second painter either, or is not to be.
@@ -155,12 +104,8 @@ class Painters:
                 painter.wait(_LONGEST_DRAWING_S, self._stop)
             except _LostError as error:
                 self._painters[number] = self._another(painter, error, wanted)
-        painted = [self._painters[painter].pictures[place] for painter, place in self._places]
-        if into is None:
-            return painted
-        for place, picture in zip(into, painted, strict=True):
-            np.copyto(place, picture)
-        return list(into)
+        for image, (number, place) in zip(into, self._places, strict=True):
+            np.copyto(image, self._painters[number].pictures[place])
 
     def close(self) -> None:
         """Ends the processes."""
@@ -197,8 +142,9 @@ class _Painter:
         descriptor = os.memfd_create("armsight-pictures")
         self._connection, theirs = Pipe()
         try:
-            os.ftruncate(descriptor, commission.size)
-            self.pictures = pictures_in(mmap.mmap(descriptor, commission.size), commission.shapes)
+            size = bytes_of(commission)
+            os.ftruncate(descriptor, size)
+            self.pictures = pictures_in(mmap.mmap(descriptor, size), commission)
             self._process = _start(theirs, descriptor, painters)
         finally:
             os.close(descriptor)

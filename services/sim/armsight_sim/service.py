@@ -29,7 +29,7 @@ from armsight.v1.joints_pb2 import JointCommand
 from armsight.v1.safety_pb2 import STOP_ACTION_RELEASE, StopRequest, StopResponse
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP, CLOCK_MODE_REALTIME, Clock, ResetRequest, ResetResponse
 from armsight_sim import description
-from armsight_sim.cameras import Cameras, Noise, picture_size
+from armsight_sim.cameras import Cameras, Commission, Noise, picture_size
 from armsight_sim.clock import ClockMode, Instants, Lockstep, Pacer
 from armsight_sim.commands import Verdict
 from armsight_sim.errors import RenderError, SimError
@@ -154,22 +154,20 @@ class Simulation:
             self._cameras.close()
 
     def _new_cameras(self, settings: Settings) -> Cameras | Painters:
-        size, emissive = (settings.width, settings.height), settings.emissive
         groups = () if self._bodies is None else (_VISIBLE_GROUP,)
-        painters = settings.painters if settings.painters is not None else self._usual_painters()
-        if not painters:
-            return Cameras(self._model, self._names, *size, settings.samples, emissive=emissive, groups=groups)
-        return Painters(
+        wanted = Commission(
             self._model,
             self._names,
-            *size,
+            settings.width,
+            settings.height,
             settings.samples,
-            emissive=emissive,
+            emissive=settings.emissive,
             groups=groups,
-            painters=painters,
-            counters=self._context.bus.counters,
-            stop=self._context.stop,
         )
+        painters = settings.painters if settings.painters is not None else self._usual_painters()
+        if not painters:
+            return Cameras(wanted)
+        return Painters(wanted, painters, self._context.bus.counters, self._context.stop)
 
     def _usual_painters(self) -> int:
         """As many as can work at a time, where pictures are what everything waits for and no GPU draws them."""

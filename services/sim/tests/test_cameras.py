@@ -5,7 +5,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from armsight_sim.cameras import Cameras, Noise
+from armsight_sim.cameras import Cameras, Commission, Noise
 from armsight_sim.world import World
 
 SEED = 1729
@@ -19,7 +19,7 @@ CAMERAS = {
 
 @pytest.fixture
 def cameras(world: World) -> Iterator[Cameras]:
-    cameras = Cameras(world.model, ["1", "2"], 800, 800, 4)
+    cameras = Cameras(Commission(world.model, ["1", "2"], 800, 800, 4))
     yield cameras
     cameras.close()
 
@@ -54,7 +54,7 @@ def test_spheres_are_drawn_as_large_as_they_are() -> None:
         )
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        cameras = Cameras(model, ["c"], 1000, 1000, 0)
+        cameras = Cameras(Commission(model, ["c"], 1000, 1000, 0))
         lit = cameras.draw(data)[0].max(axis=2) > 0
         cameras.close()
         focal = 500 / np.tan(np.radians(0.4))
@@ -75,7 +75,7 @@ def test_emissive_markers_shine_evenly(world: World) -> None:
     world.reset(np.array([0.7, 0.0, 0.9, 0.9]))
     spreads = {}
     for emissive in (False, True):
-        cameras = Cameras(world.model, ["1"], 800, 800, 0, emissive=emissive)
+        cameras = Cameras(Commission(world.model, ["1"], 800, 800, 0, emissive=emissive))
         image = cameras.draw(world.data)[0]
         cameras.close()
         red = (image[..., 0] > 60) & (image[..., 1] < 40) & (image[..., 2] < 40)

@@ -13,7 +13,7 @@ import pytest
 from armsight.errors import ConfigError
 from armsight.v1.description_pb2 import ArmDescription
 from armsight_sim import description
-from armsight_sim.cameras import Cameras
+from armsight_sim.cameras import Cameras, Commission
 from armsight_sim.conventions import findings
 from armsight_sim.errors import ModelError
 from armsight_sim.targets import TARGETS
@@ -165,7 +165,7 @@ def test_a_joint_that_no_marker_tells_is_a_warning() -> None:
 def test_pictures_have_the_size_that_the_model_says() -> None:
     model = load_model(FIVE)
     world = World(model, 1 / 30)
-    cameras = Cameras(model, ["east", "north", "west"], 640, 480, 0)
+    cameras = Cameras(Commission(model, ["east", "north", "west"], 640, 480, 0))
     try:
         assert [image.shape for image in cameras.draw(world.data)] == [(800, 800, 3), (768, 1024, 3), (600, 720, 3)]
     finally:

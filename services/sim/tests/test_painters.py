@@ -13,7 +13,7 @@ import pytest
 
 from armsight.counters import Counters
 from armsight_sim import painters as painters_module
-from armsight_sim.cameras import Cameras, Image
+from armsight_sim.cameras import Cameras, Commission, Image
 from armsight_sim.errors import RenderError
 from armsight_sim.painters import Painters
 from armsight_sim.world import World
@@ -54,10 +54,23 @@ def counters() -> Counters:
 
 
 @pytest.fixture
-def painters(world: World, counters: Counters) -> Iterator[Painters]:
-    painters = Painters(world.model, ["1", "2"], 200, 160, 4, painters=2, counters=counters, stop=threading.Event())
+def wanted(world: World) -> Commission:
+    return Commission(world.model, ["1", "2"], 200, 160, 4)
+
+
+@pytest.fixture
+def painters(wanted: Commission, counters: Counters) -> Iterator[Painters]:
+    painters = Painters(wanted, 2, counters, threading.Event())
     yield painters
     painters.close()
+
+
+def painted(painters: Painters, data: mujoco.MjData, wanted: Commission) -> list[Image]:
+    images: list[Image] = [np.zeros((rows, columns, 3), np.uint8) for columns, rows in wanted.sizes]
+    done = []
+    painters.draw(data, images, lambda: done.append("meanwhile"))
+    assert done == ["meanwhile"]
+    return images
 
 
 def pids() -> list[int]:
@@ -75,28 +88,28 @@ def pids() -> list[int]:
     return sorted(found)
 
 
-def test_pictures_are_those_of_one_process_to_the_bit(world: World, painters: Painters) -> None:
-    cameras = Cameras(world.model, ["1", "2"], 200, 160, 4)
+def test_pictures_are_those_of_one_process_to_the_bit(world: World, wanted: Commission, painters: Painters) -> None:
+    cameras = Cameras(wanted)
     random = np.random.default_rng(SEED)
     for ambient in (0.1, 0.7, 0.4):
         world.reset(random.uniform(world.limits[:, 0], world.limits[:, 1]))
         painters.light(ambient)
         cameras.light(ambient)
-        assert the_same(painters.draw(world.data), cameras.draw(world.data)), f"seed {SEED}"
+        assert the_same(painted(painters, world.data, wanted), cameras.draw(world.data)), f"seed {SEED}"
     cameras.close()
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_any_number_of_painters_shares_cameras_of_any_size(counters: Counters, count: int) -> None:
     model = mujoco.MjModel.from_xml_string(THREE_CAMERAS)
-    data, names = mujoco.MjData(model), ["front", "side", "riding"]
+    data, wanted = (
+        mujoco.MjData(model),
+        Commission(model, ["front", "side", "riding"], 400, 240, 0, groups=[BODIES_GROUP]),
+    )
     data.qpos[:], data.mocap_pos[0] = 0.6, (0.5, 0.2, 1.5)
     mujoco.mj_fwdPosition(model, data)
-    cameras = Cameras(model, names, 400, 240, 0, groups=[BODIES_GROUP])
-    painters = Painters(
-        model, names, 400, 240, 0, painters=count, counters=counters, stop=threading.Event(), groups=[BODIES_GROUP]
-    )
-    ours, theirs = painters.draw(data), cameras.draw(data)
+    cameras, painters = Cameras(wanted), Painters(wanted, count, counters, threading.Event())
+    ours, theirs = painted(painters, data, wanted), cameras.draw(data)
     cameras.close()
     assert the_same(ours, theirs)
     assert len(pids()) == min(count, 3)
@@ -106,21 +119,21 @@ def test_any_number_of_painters_shares_cameras_of_any_size(counters: Counters, c
 
 
 def test_emissive_markers_are_painted_so(world: World, counters: Counters) -> None:
-    cameras = Cameras(world.model, ["1"], 200, 200, 0, emissive=True)
-    painters = Painters(
-        world.model, ["1"], 200, 200, 0, painters=1, counters=counters, stop=threading.Event(), emissive=True
-    )
-    ours, theirs = painters.draw(world.data), cameras.draw(world.data)
+    wanted = Commission(world.model, ["1"], 200, 200, 0, emissive=True)
+    cameras, painters = Cameras(wanted), Painters(wanted, 1, counters, threading.Event())
+    ours, theirs = painted(painters, world.data, wanted), cameras.draw(world.data)
     cameras.close()
     assert the_same(ours, theirs)
     painters.close()
 
 
-def test_painter_that_dies_is_replaced(world: World, painters: Painters, counters: Counters) -> None:
-    before = [image.copy() for image in painters.draw(world.data)]
+def test_painter_that_dies_is_replaced(
+    world: World, wanted: Commission, painters: Painters, counters: Counters
+) -> None:
+    before = painted(painters, world.data, wanted)
     first, second = pids()
     os.kill(second, signal.SIGKILL)
-    assert the_same(painters.draw(world.data), before)
+    assert the_same(painted(painters, world.data, wanted), before)
     assert counters.snapshot()["painters_replaced"] == 1
     assert first in pids()
     assert second not in pids()
@@ -128,34 +141,35 @@ def test_painter_that_dies_is_replaced(world: World, painters: Painters, counter
 
 
 def test_painter_that_hangs_is_replaced(
-    world: World, painters: Painters, counters: Counters, monkeypatch: pytest.MonkeyPatch
+    world: World, wanted: Commission, painters: Painters, counters: Counters, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = [image.copy() for image in painters.draw(world.data)]
+    before = painted(painters, world.data, wanted)
     monkeypatch.setattr(painters_module, "_LONGEST_DRAWING_S", 1.0)
     os.kill(pids()[0], signal.SIGSTOP)
-    assert the_same(painters.draw(world.data), before)
+    assert the_same(painted(painters, world.data, wanted), before)
     assert counters.snapshot()["painters_replaced"] == 1
 
 
 def test_nobody_is_waited_for_once_it_is_to_stop(world: World, counters: Counters) -> None:
     stop = threading.Event()
-    painters = Painters(world.model, ["1"], 64, 64, 0, painters=1, counters=counters, stop=stop)
+    wanted = Commission(world.model, ["1"], 64, 64, 0)
+    painters = Painters(wanted, 1, counters, stop)
     os.kill(pids()[0], signal.SIGSTOP)
     stop.set()
     began = time.monotonic()
     with pytest.raises(RenderError, match="stop"):
-        painters.draw(world.data)
+        painted(painters, world.data, wanted)
     painters.close()
     assert time.monotonic() - began < 1.0
     assert counters.snapshot() == {}
 
 
-def test_what_opengl_says_is_told(world: World, counters: Counters, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_opengl_says_is_told(wanted: Commission, counters: Counters, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.setenv("PYOPENGL_PLATFORM", "egl")
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/dev/null")  # no OpenGL to be found
     with pytest.raises(RenderError, match=r"did not start: .*EGL"):
-        Painters(world.model, ["1", "2"], 100, 100, 0, painters=2, counters=counters, stop=threading.Event())
+        Painters(wanted, 2, counters, threading.Event())
     assert pids() == []
 
 
@@ -165,10 +179,11 @@ def test_painters_end_with_whom_they_paint_for(tmp_path: Path) -> None:
         "from armsight_sim.gl import choose_gl; choose_gl()\n"
         "import threading, time\n"
         "from armsight.counters import Counters\n"
+        "from armsight_sim.cameras import Commission\n"
         "from armsight_sim.painters import Painters\n"
         "from armsight_sim.world import load_model\n"
-        "how = dict(painters=2, counters=Counters(), stop=threading.Event())\n"
-        "painters = Painters(load_model(), ['1', '2'], 64, 64, 0, **how)\n"
+        "wanted = Commission(load_model(), ['1', '2'], 64, 64, 0)\n"
+        "painters = Painters(wanted, 2, Counters(), threading.Event())\n"
         "print(*(each._process.pid for each in painters._painters), flush=True)\n"
         "time.sleep(60)\n"
     )
