@@ -15,7 +15,7 @@ import numpy as np
 from armsight import topics
 from armsight.times import NS_PER_S
 from armsight.v1.health_pb2 import HEALTH_STATUS_OK
-from armsight_operator.recording.timeline import Array, Frame, Life, State, Timeline, lives
+from armsight_operator.recording.timeline import Frame, Life, State, Timeline, lives
 
 WATCHDOG_NS = 100_000_000
 """Without a fresh command to move for longer, the setpoint brakes."""
@@ -120,35 +120,23 @@ def resets_of(timeline: Timeline, life: Life) -> list[int]:
 
     No motion ends so: an arm that is driven there is fast when it passes, or is not there yet.
     """
-    true = {state.instant_ns: state.angles for state in life.true}
+    instants = [state.instant_ns for state in life.true]
+    period_s = life.period_ns / NS_PER_S
     found = []
     for before, after in pairwise(life.accepted):
-        here, later = true.get(after.instant_ns), true.get(after.instant_ns + life.period_ns)
-        later = later if later is not None else _next_of(life.true, after.instant_ns)
-        if here is None or later is None:
+        index = bisect_left(instants, after.instant_ns)
+        if index + 1 >= len(instants) or instants[index] != after.instant_ns:
             continue
+        here, later = life.true[index], life.true[index + 1]
         # after a rest the setpoint was said long ago: then the arm itself tells
-        jumps = _excess(timeline, before, after, 2 * life.period_ns) > 0.0 or any(
-            _excess(timeline, last, State(after.log_ns, after.instant_ns, here), 0, _OVERSHOOT_SPEED) > 0.0
-            for last in _last_before(life.true, after.instant_ns)
+        jumps = _excess(timeline, before, after, 2 * life.period_ns) > 0.0 or (
+            index > 0 and _excess(timeline, life.true[index - 1], here, 0, _OVERSHOOT_SPEED) > 0.0
         )
-        if not jumps:
-            continue
-        settled = float(np.abs(here - after.angles).max()) < _OVERSHOOT_RAD
-        period_s = life.period_ns / NS_PER_S
-        if settled and float(np.abs(later - here).max()) < float(timeline.joints.max_speed.max()) * period_s:
+        settled = float(np.abs(here.angles - after.angles).max()) < _OVERSHOOT_RAD
+        stays = float(np.abs(later.angles - here.angles).max()) < float(timeline.joints.max_speed.max()) * period_s
+        if jumps and settled and stays:
             found.append(after.instant_ns)
     return found
-
-
-def _next_of(states: tuple[State, ...], instant_ns: int) -> Array | None:
-    index = bisect_right(states, instant_ns, key=lambda state: state.instant_ns)
-    return states[index].angles if index < len(states) else None
-
-
-def _last_before(states: tuple[State, ...], instant_ns: int) -> tuple[State, ...]:
-    index = bisect_left(states, instant_ns, key=lambda state: state.instant_ns)
-    return states[max(0, index - 1) : index]
 
 
 def _clock_goes_on(frames: list[Frame]) -> Iterator[Violation]:

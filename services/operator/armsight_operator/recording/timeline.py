@@ -201,9 +201,12 @@ def _take(found: Timeline, topic: Topic[Any], entry: Entry, message: Any) -> Non
     elif isinstance(message, JointStates):
         angles = _by_name(found.joints, {joint.name: joint.position for joint in message.joints})
         if angles is not None:
-            states = {topics.JOINTS_TRUE: found.true, topics.JOINTS_ACCEPTED: found.accepted}
-            state = State(entry.log_ns, from_timestamp(message.timestamp), angles)
-            states.get(topic, found.estimated).append(state)
+            states = {
+                topics.JOINTS_TRUE: found.true,
+                topics.JOINTS_ACCEPTED: found.accepted,
+                topics.JOINTS_ESTIMATED: found.estimated,
+            }
+            states[topic].append(State(entry.log_ns, from_timestamp(message.timestamp), angles))
     elif isinstance(message, JointCommand):
         named = {joint.name: joint.position_rad for joint in message.joints}
         goal = None if message.hold else _by_name(found.joints, named)
