@@ -5,6 +5,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <utility>
 
@@ -108,9 +109,11 @@ bool score(Cone& cone, std::span<const EdgePoint> points, double tolerance_px, i
     return true;
 }
 
-// Draws of three points until all of one are good but for kMissed of cases, where this share of the points is.
-int draws_needed(double share) {
-    const double missed = std::log1p(-std::min(share * share * share, 1.0 - kMissed));
+// Draws of three points until all of one are good but for kMissed of cases, where this many of all points are.
+int draws_needed(int good, std::size_t all) {
+    if (std::cmp_equal(good, all)) return 0;
+    const double share = good / static_cast<double>(all);
+    const double missed = std::log1p(-share * share * share);
     return missed < 0.0 ? static_cast<int>(std::min<double>(kHypotheses, std::ceil(std::log(kMissed) / missed)))
                         : kHypotheses;
 }
@@ -145,13 +148,8 @@ std::optional<Cone> fit_cone(std::span<const EdgePoint> points, const ConeOption
     std::optional<Cone> best = solve(points, frame, nullptr, 0.0);
     if (best) score(*best, points, options.tolerance_px);
     Lottery lottery;
-    const auto needed = [&] {
-        if (!best) return kHypotheses;
-        return std::cmp_equal(best->inliers, points.size())
-                   ? 0
-                   : draws_needed(best->inliers / static_cast<double>(points.size()));
-    };
-    for (int i = 0, draws = needed(); i < draws; ++i) {
+    int draws = draws_needed(best ? best->inliers : 0, points.size());
+    for (int i = 0; i < draws; ++i) {
         Eigen::Matrix3d rows;
         for (int k = 0; k < 3; ++k) rows.row(k) = frame.row(points[lottery.draw(points.size())].ray);
         Eigen::Matrix3d inverse;
@@ -163,7 +161,7 @@ std::optional<Cone> fit_cone(std::span<const EdgePoint> points, const ConeOption
         if (!score(*cone, points, options.tolerance_px, best ? best->inliers : 0)) continue;
         if (best && !is_better(*cone, *best)) continue;
         best = cone;
-        draws = needed();
+        draws = draws_needed(best->inliers, points.size());
     }
     if (!best) return std::nullopt;
     return polished(points, frame, *best, options);

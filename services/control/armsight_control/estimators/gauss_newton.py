@@ -127,8 +127,7 @@ def _normal_equations(
         (x, y, z), columns = placed.found[row]
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = weight
         r, s, t = point[0] - x, point[1] - y, point[2] - z
-        square = r * (xx * r + 2.0 * (xy * s + xz * t)) + s * (yy * s + 2.0 * yz * t) + zz * t * t
-        share = worth * min(1.0, _HUBER_SIGMAS / math.sqrt(max(square, 1e-12)))
+        share = worth * min(1.0, _HUBER_SIGMAS / math.sqrt(max(_chi2(weight, r, s, t), 1e-12)))
         for i, (u, v, w) in enumerate(columns):
             a = share * (xx * u + xy * v + xz * w)
             b = share * (xy * u + yy * v + yz * w)
@@ -149,12 +148,17 @@ def _misfit(readings: Readings, placed: Placed, step: Sequence[float]) -> float:
     total = 0.0
     for row, point, weight in zip(readings.rows, readings.points, readings.weights, strict=True):
         (x, y, z), columns = placed.found[row]
-        (xx, xy, xz), (_, yy, yz), (_, _, zz) = weight
         r, s, t = point[0] - x, point[1] - y, point[2] - z
         for (u, v, w), each in zip(columns, step, strict=True):
             r, s, t = r - u * each, s - v * each, t - w * each
-        total += r * (xx * r + 2.0 * (xy * s + xz * t)) + s * (yy * s + 2.0 * yz * t) + zz * t * t
+        total += _chi2(weight, r, s, t)
     return total
+
+
+def _chi2(weight: Rows, r: float, s: float, t: float) -> float:
+    """What a reading is off by, as its inverse covariance counts it, of which the lower triangle is not read."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = weight
+    return r * (xx * r + 2.0 * (xy * s + xz * t)) + s * (yy * s + 2.0 * yz * t) + zz * t * t
 
 
 def _within(q: Array, information: Array, limits: Array) -> Array:
