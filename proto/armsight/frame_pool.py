@@ -35,7 +35,7 @@ class FramePool:
             log.warning("no shared memory: %s", error)
 
     def encode_rgb8(
-        self, pixels: bytes | bytearray, width: int, height: int, frame_id: str, capture_ns: int
+        self, pixels: bytes | bytearray | memoryview, width: int, height: int, frame_id: str, capture_ns: int
     ) -> zenoh.ZBytes:
         """As :func:`armsight.images.encode_rgb8`, in the pool where there is one and it has room.
 
@@ -46,7 +46,7 @@ class FramePool:
         if room is None:
             return zenoh.ZBytes(b"".join((head, pixels)))
         room[: len(head)] = head
-        room[len(head) :] = pixels
+        room[len(head) :] = bytes(pixels) if isinstance(pixels, memoryview) else pixels  # Zenoh takes no view
         return zenoh.ZBytes(room)
 
     def _room(self, size: int) -> ZShmMut | None:

@@ -110,7 +110,7 @@ class Context:
     stop: threading.Event
     tunables: Tunables
     shared_memory: Use = "off"
-    """As the session was opened; of frames that are sent: :class:`~armsight.frame_pool.FramePool`."""
+    """What is wanted of it: whether it can be had is asked again by :class:`~armsight.frame_pool.FramePool`."""
 
 
 def add_service_arguments(parser: argparse.ArgumentParser) -> None:

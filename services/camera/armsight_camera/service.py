@@ -180,7 +180,7 @@ class Cameras:
         for name, image in instant.frames.items():
             height, width, _ = image.shape
             frame_id = self._settings.known[name].frame_id
-            encoded = self._pool.encode_rgb8(image.tobytes(), width, height, frame_id, capture_ns)
+            encoded = self._pool.encode_rgb8(image.reshape(-1).data, width, height, frame_id, capture_ns)
             self._images[name].put_bytes(encoded, encode_sent(wall_ns()))
         counters.add("frames_sent", len(instant.frames))
         if len(self._images) > 1:
