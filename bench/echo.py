@@ -50,7 +50,7 @@ def measure(endpoint: str, pairs: int, rate_hz: float, shared_memory: bool) -> l
 def _session(endpoint: str, publish: bool, shared_memory: bool) -> zenoh.Session:
     memory: Use = ("publish" if publish else "read") if shared_memory else "off"
     settings = zenoh_settings(SessionConfig(endpoints=(endpoint,), namespace="bench/echo", shared_memory=memory))
-    if memory == "publish":  # bytes go there by themselves: Zenoh's own way
+    if shared_memory and publish:  # bytes go there by themselves: Zenoh's own way
         pool = {"enabled": True, "pool_size": POOL_BYTES, "message_size_threshold": 65536}
         settings.insert_json5("transport/shared_memory/transport_optimization", json.dumps(pool))
     return zenoh.open(settings)

@@ -76,7 +76,7 @@ SHORTER = {"--frames 300": "--frames 20", "-n 30": "-n 10", "--seconds 5": "--se
 
 # What some of them say when they end.
 SAYS: Mapping[str, str] = {
-    "armsight status": r"(?s)sim .*\n *vision",
+    "armsight status": r"sim .*\n(?: +.*\n)*vision",
     "armsight topics list": "joints/positions",
     "armsight topics echo control/status": '"target_reachable": true',
     "armsight params list": "speed",
