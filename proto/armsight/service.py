@@ -4,12 +4,10 @@ import argparse
 import dataclasses
 import json
 import logging
-import signal
 import sys
 import threading
 import uuid
 from collections.abc import Callable
-from types import FrameType
 from typing import Any
 
 from google.protobuf.empty_pb2 import Empty
@@ -22,6 +20,7 @@ from armsight.parameters import Tunables
 from armsight.router_watch import router_watched
 from armsight.session import add_session_arguments, check_role, open_session, session_config
 from armsight.shared_memory import Use
+from armsight.stopping import stop_on_signals
 from armsight.times import to_timestamp, wall_ns
 from armsight.topics import ASK_PARAMETERS, HEALTH, PARAMETERS, SET_PARAMETERS
 from armsight.v1.health_pb2 import HEALTH_STATUS_WAITING, Health, HealthStatus
@@ -143,15 +142,7 @@ def run_service(
     set_up_logging(name, arguments.log_level)
     if arguments.health:
         return probe(name, arguments)
-    stop = threading.Event()
-
-    def ask_to_stop(signum: int, frame: FrameType | None) -> None:
-        del frame
-        log.info("stopping", extra={"signal": signal.Signals(signum).name})
-        stop.set()
-
-    signal.signal(signal.SIGTERM, ask_to_stop)
-    signal.signal(signal.SIGINT, ask_to_stop)
+    stop = stop_on_signals()
     try:
         config = session_config(arguments, shared_memory)
         check_role(config, role or name)

@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
+from armsight.stopping import stop_on_signals
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
-from armsight_operator.cli.stopping import stop_on_signals
 
 app = typer.Typer(
     help="Look at the running system with other applications.", no_args_is_help=True, rich_markup_mode=None

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
+from armsight.stopping import stop_on_signals
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
-from armsight_operator.cli.stopping import stop_on_signals
 
 
 def replay(

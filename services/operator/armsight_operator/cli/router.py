@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from armsight.stopping import stop_on_signals
 from armsight_operator.cli.options import ZenohConfig
-from armsight_operator.cli.stopping import stop_on_signals
 from armsight_operator.errors import CertificateError
 
 if TYPE_CHECKING:

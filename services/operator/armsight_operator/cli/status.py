@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armsight.stopping import stop_on_signals
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
-from armsight_operator.cli.stopping import stop_on_signals
 
 if TYPE_CHECKING:
     from armsight_operator.monitor import Snapshot

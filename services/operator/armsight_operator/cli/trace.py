@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armsight.stopping import stop_on_signals
 from armsight_operator.cli.options import Connect, Namespace, ZenohConfig
-from armsight_operator.cli.stopping import stop_on_signals
 from armsight_operator.errors import NoDataError, OperatorError
 
 if TYPE_CHECKING:

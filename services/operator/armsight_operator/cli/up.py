@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from armsight_operator.cli.stopping import stop_on_signals
+from armsight.stopping import stop_on_signals
 from armsight_operator.errors import OperatorError
 
 if TYPE_CHECKING:
