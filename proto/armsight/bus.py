@@ -32,6 +32,9 @@ LATCHED_HEARTBEAT_S = 1.0
 
 _MAX_QUERY_BYTES = 1 << 20
 
+_UNASKED = 8
+"""Samples that wait until somebody asks for the newest: what can't be decoded is counted, and hides none before it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Received(Generic[M]):
@@ -153,7 +156,7 @@ class Subscriber(Generic[M]):
                 sample = handler.recv()
             except zenoh.ZError:
                 break
-            received = self._decode(sample)
+            received = _decoded(self._topic, sample, self._counters)
             if received is None:
                 continue
             self._latest = received
@@ -174,22 +177,31 @@ class Subscriber(Generic[M]):
             self._counters.add(f"failed_{self._topic.name}")
             log.exception("handling a sample failed", extra={"key": received.key})
 
-    def _decode(self, sample: zenoh.Sample) -> Received[M] | None:
-        key = str(sample.key_expr)
-        if sample.kind != zenoh.SampleKind.PUT:
-            return None
-        message = self._topic.message()
+
+class Newest(Generic[M]):
+    """The newest sample of a key, decoded when it is asked for.
+
+    No thread reads it: where one publisher put two messages of equal priority, whoever has read the second finds the
+    first here.
+    """
+
+    def __init__(self, topic: Topic[M], inner: Any, counters: Counters) -> None:
+        """Made by :meth:`Bus.newest`."""
+        self._topic = topic
+        self._inner = inner
+        self._counters = counters
+        self._known: M | None = None
+
+    def get(self) -> M | None:
+        """What came last and could be decoded, now and whenever asked again; nothing before the first."""
         try:
-            expected = encoding_of(self._topic.message)
-            if str(sample.encoding) != expected:
-                raise DecodeError(f"encoding {str(sample.encoding)!r} instead of {expected!r}")
-            message.ParseFromString(sample.payload.to_bytes())
-        except DecodeError as error:
-            total = self._counters.add(f"malformed_{self._topic.name}")
-            if total & (total - 1) == 0:  # the 1st, 2nd, 4th, 8th, …: a flood stays readable
-                log.warning("ignored a malformed message", extra={"key": key, "reason": str(error), "total": total})
-            return None
-        return Received(message, key, self._topic.name_in(key), monotonic())
+            while (sample := self._inner.handler.try_recv()) is not None:
+                received = _decoded(self._topic, sample, self._counters)
+                if received is not None:
+                    self._known = received.message
+        except zenoh.ZError:  # the session ended
+            pass
+        return self._known
 
 
 class Presence:
@@ -299,6 +311,11 @@ class Bus:
         subscriber = Subscriber(topic, inner, size, self.counters, on_message)
         self._threads.append(subscriber.thread)
         return subscriber
+
+    def newest(self, topic: Topic[M], name: str | None = None) -> Newest[M]:
+        """Declares a subscriber whose newest sample is there for whoever asks."""
+        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(_UNASKED)
+        return Newest(topic, self._declare_subscriber(topic, topic.key_for(name), ring), self.counters)
 
     def tap(
         self, topic: Topic[Any], take: Callable[[Sample], None], name: str | None = None, *, fifo: int = 64
@@ -446,3 +463,21 @@ def open_bus(session: zenoh.Session, counters: Counters | None = None) -> Iterat
             yield bus
     finally:
         bus.join()
+
+
+def _decoded(topic: Topic[M], sample: zenoh.Sample, counters: Counters) -> Received[M] | None:
+    key = str(sample.key_expr)
+    if sample.kind != zenoh.SampleKind.PUT:
+        return None
+    message = topic.message()
+    try:
+        expected = encoding_of(topic.message)
+        if str(sample.encoding) != expected:
+            raise DecodeError(f"encoding {str(sample.encoding)!r} instead of {expected!r}")
+        message.ParseFromString(sample.payload.to_bytes())
+    except DecodeError as error:
+        total = counters.add(f"malformed_{topic.name}")
+        if total & (total - 1) == 0:  # the 1st, 2nd, 4th, 8th, …: a flood stays readable
+            log.warning("ignored a malformed message", extra={"key": key, "reason": str(error), "total": total})
+        return None
+    return Received(message, key, topic.name_in(key), monotonic())

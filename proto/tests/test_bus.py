@@ -23,6 +23,7 @@ from armsight.v1.control_pb2 import CONTROL_MODE_HOLD, SetModeRequest, SetModeRe
 from armsight.v1.description_pb2 import ArmDescription
 from armsight.v1.joints_pb2 import JointPositions
 from armsight.v1.safety_pb2 import StopState
+from armsight.v1.sim_pb2 import Clock
 
 Buses = tuple[Bus, Bus]
 
@@ -54,6 +55,36 @@ def test_message_arrives_decoded_with_its_key(two_buses: Buses) -> None:
     assert received.message.data == pixels
     assert (received.message.width, received.message.height, received.message.step) == (16, 12, 48)
     assert from_timestamp(received.message.timestamp) == 1_700_000_000_123_456_789
+
+
+def test_what_was_put_before_is_known_with_what_was_put_after(two_buses: Buses) -> None:
+    here, there = two_buses
+    newest, after = there.newest(topics.CLOCK), there.subscriber(topics.JOINT_POSITIONS)
+    assert newest.get() is None
+    clocks, positions = here.publisher(topics.CLOCK), here.publisher(topics.JOINT_POSITIONS)
+    assert eventually(lambda: clocks.has_subscribers() and positions.has_subscribers())
+    for second in range(1, 201):
+        clock, joints = Clock(), JointPositions()
+        clock.capture_time.seconds = joints.capture_time.seconds = second
+        clocks.put(clock)
+        positions.put(joints)
+        received = after.recv(2.0)
+        assert received is not None
+        assert received.message.capture_time.seconds == second
+        assert newest.get() == clock
+
+
+def test_newest_is_what_could_be_decoded_and_the_rest_is_counted(two_buses: Buses) -> None:
+    here, there = two_buses
+    newest, clocks = there.newest(topics.CLOCK), here.publisher(topics.CLOCK)
+    assert eventually(clocks.has_subscribers)
+    clock = Clock()
+    clock.capture_time.seconds = 7
+    clocks.put(clock)
+    clocks.put_bytes(b"\xff" * 7)
+    assert eventually(lambda: newest.get() == clock and there.counters.snapshot() == {"malformed_clock": 1})
+    there.session.close()  # type: ignore[no-untyped-call]
+    assert newest.get() == clock
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,8 @@ class Service:
         bus.subscriber(JOINTS_ACCEPTED, on_message=lambda got: self._locked(self._loop.accept, got.message))
         bus.subscriber(STOP_STATE, on_message=lambda got: self._locked(self._loop.stop, got.message))
         bus.subscriber(TARGET, on_message=lambda got: self._locked(self._loop.aim, got.message))
-        self._clock = bus.subscriber(CLOCK)
+        # sim puts it before the frames: who holds positions finds the time of their frames here, and no earlier one
+        self._clock = bus.newest(CLOCK)
         context.tunables.declare(tunables(settings), self._tune)
         bus.presence(self._seen)
         bus.serve(MODE, self._queries.mode)
@@ -88,17 +89,19 @@ class Service:
         heard = monotonic()
         while not self._context.stop.is_set():
             received = self._positions.recv(QUIET_S)
+            clock = self._clock.get()
             if received is None:
                 self._report_quiet(monotonic() - heard)
                 continue
             heard = monotonic()
             age_s = heard - received.received_s
             received_ns = wall_ns() - round(age_s * 1e9)
-            lockstep = self._lockstep()
+            lockstep = clock is not None and clock.mode == CLOCK_MODE_LOCKSTEP
             if lockstep:
                 self._pursuit.catch_up(received.message, self._context.stop)
             # in lockstep the arm stands until it is answered: positions don't age
-            answer = self._answer(received.message, 0.0 if lockstep else age_s)
+            now_ns = None if clock is None else from_timestamp(clock.capture_time)
+            answer = self._answer(received.message, 0.0 if lockstep else age_s, now_ns)
             if answer is not None:
                 self._send(answer, received, received_ns)
             if not lockstep:
@@ -108,22 +111,14 @@ class Service:
         """Ends the solver's process."""
         self._pursuit.solvers.close()
 
-    def _lockstep(self) -> bool:
-        clock = self._clock.latest
-        return clock is not None and clock.message.mode == CLOCK_MODE_LOCKSTEP
-
-    def _answer(self, message: JointPositions, age_s: float) -> Answer | None:
+    def _answer(self, message: JointPositions, age_s: float, now_ns: int | None) -> Answer | None:
         with self._lock:
             try:
-                return self._loop.answer(message, age_s, self._now_ns())
+                return self._loop.answer(message, age_s, now_ns)
             except Exception:  # one message that nobody thought of must not end control: sim's watchdog holds the arm
                 self._context.bus.counters.add("failed_joint_positions")
                 log.exception("answering positions failed")
                 return None
-
-    def _now_ns(self) -> int | None:
-        clock = self._clock.latest
-        return None if clock is None else from_timestamp(clock.message.capture_time)
 
     def _send(self, answer: Answer, received: Received[JointPositions], received_ns: int) -> None:
         stages = answer.command.stages

@@ -133,8 +133,6 @@ class Rig:
     def reset(self, q: Array) -> None:
         self.q = np.asarray(q, dtype=np.float64)
         self.accepted.put(self.states(self.q, self.capture_ns))
-        # by a thread of its own there: of the first instant's clock control may hear after its positions
-        self.clock.put(Clock(capture_time=to_timestamp(self.capture_ns), mode=self.clock_mode))
         time.sleep(0.1)
 
     def mode(self, mode: ControlMode, goal: Array | None = None, start_s: float = 0.0) -> None:
@@ -247,7 +245,7 @@ def test_lockstep_waits_for_the_solution_and_two_runs_are_the_same(rig: Rig) -> 
 
 def test_in_lockstep_positions_that_waited_are_not_stale(rig: Rig) -> None:
     rig.start("--mode", "track", "--solver", "gradient-descent")
-    rig.clock.put(Clock(mode=CLOCK_MODE_LOCKSTEP))
+    rig.clock.put(Clock(capture_time=to_timestamp(rig.capture_ns), mode=CLOCK_MODE_LOCKSTEP))
     rig.reset(np.zeros(4))
     target = Point3InFrame(frame_id="base")
     target.point.x, target.point.y, target.point.z = 3.6, 1.0, 7.5

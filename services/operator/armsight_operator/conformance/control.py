@@ -8,7 +8,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from armsight import topics
 from armsight.bus import Bus
 from armsight.errors import NoReplyError, RefusedError
-from armsight.times import from_timestamp, wall_ns
+from armsight.times import from_timestamp, to_timestamp, wall_ns
 from armsight.v1.control_pb2 import (
     CONTROL_MODE_HOLD,
     CONTROL_MODE_JOINTS,
@@ -116,6 +116,8 @@ class Loop:
         self.q = np.array(q)
         self._capture_ns += 30 * PERIOD_NS
         self._accepted.put(self.scene.states(self.q, self._capture_ns))
+        # a second after the last instant: who heard of it only with the positions might take them for a far future's
+        self._clock.put(Clock(capture_time=to_timestamp(self._capture_ns), mode=CLOCK_MODE_LOCKSTEP))
         time.sleep(_SETTLE_S)
 
     def mode(self, mode: ControlMode, goal: Array | None = None) -> None:
