@@ -104,18 +104,24 @@ def hold(queue: int, delays: Delays) -> None:
             verdict = struct.pack("!II", _ACCEPT, heapq.heappop(held)[1])
             netlink.send(_message(_VERDICT, _REQUEST, queue, _attribute(_VERDICT_HEADER, verdict)))
 
+    def take(wait_s: float) -> bool:
+        if not select.select([netlink], [], [], wait_s)[0]:
+            return False
+        heard = netlink.recv(65536)
+        now = time.monotonic()
+        at = 0
+        while at + _HEADER.size <= len(heard):
+            length, kind, *_ = _HEADER.unpack_from(heard, at)
+            if kind == _PACKET:
+                heapq.heappush(held, (now + delays.next(), _NUMBER.unpack_from(heard, at + _NUMBER_AT)[0]))
+            at += (length + 3) & ~3
+        return True
+
     while not ended:
-        wait_s = max(0.0, held[0][0] - time.monotonic()) if held else 0.1
-        if select.select([netlink], [], [], min(wait_s, 0.1))[0]:
-            heard = netlink.recv(65536)
-            now = time.monotonic()
-            at = 0
-            while at + _HEADER.size <= len(heard):
-                length, kind, *_ = _HEADER.unpack_from(heard, at)
-                if kind == _PACKET:
-                    heapq.heappush(held, (now + delays.next(), _NUMBER.unpack_from(heard, at + _NUMBER_AT)[0]))
-                at += (length + 3) & ~3
+        take(min(max(0.0, held[0][0] - time.monotonic()), 0.1) if held else 0.1)
         let_go(time.monotonic())
+    while take(0.0):  # what it has not been told of by now would be dropped with the queue
+        pass
     let_go(float("inf"))
 
 

@@ -149,17 +149,20 @@ class Network:
     @contextmanager
     def slow(self, hosts: Sequence[str], mbit_s: float) -> Iterator[None]:
         """Cables have a rate, in either direction."""
-        rate = ["tbf", "rate", f"{mbit_s:g}mbit", "burst", "16kb", "latency", f"{_QUEUED_MS}ms"]
-        ends = [(end, self.device(host)) for host in hosts for end in (self.middle, self.namespace_of(host))]
+        cables = [(end, self.device(host)) for host in hosts for end in (self.middle, self.namespace_of(host))]
         done = []
         try:
-            for end, device in ends:
-                _run("tc", "-n", end, "qdisc", "replace", "dev", device, "root", *rate)
+            for end, device in cables:
+                self._rate(end, device, f"{mbit_s:g}mbit", "16kb")
                 done.append((end, device))
             yield
         finally:
-            for end, device in done:
-                _run("tc", "-n", end, "qdisc", "del", "dev", device, "root")
+            for end, device in done:  # not taken away: what it queues would be lost, which is another fault
+                self._rate(end, device, "10gbit", "4mb")
+
+    def _rate(self, end: str, device: str, rate: str, burst: str) -> None:
+        bucket = ["tbf", "rate", rate, "burst", burst, "latency", f"{_QUEUED_MS}ms"]
+        _run("tc", "-n", end, "qdisc", "replace", "dev", device, "root", *bucket)
 
     @contextmanager
     def held(

@@ -3,8 +3,10 @@
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import nullcontext
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 
 import network
@@ -21,6 +23,7 @@ BYTES = 1000
 LISTEN = """
 import json, socket, sys, time
 listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+listener.setsockopt(socket.SOL_SOCKET, 33, 4 << 20)  # SO_RCVBUFFORCE: many may come at once
 listener.bind(("0.0.0.0", 5000))
 listener.settimeout(float(sys.argv[1]))
 print("listens", flush=True)
@@ -122,3 +125,18 @@ def test_nothing_is_left_of_a_fault(two: Network) -> None:
         with fault:
             pass
     assert len(datagrams(two).numbers) == SENT
+
+
+@pytest.mark.parametrize("fault", ["held", "slow"])
+def test_what_a_fault_holds_up_arrives_when_it_ends(two: Network, fault: str) -> None:
+    # more than it passes on, less than it holds
+    with ExitStack() as undo:
+        undo.enter_context(two.held(["here"], delay_ms=5000) if fault == "held" else two.slow(["here"], mbit_s=5))
+        with ThreadPoolExecutor(1) as sending:
+            heard = sending.submit(datagrams, two)
+            time.sleep(0.35)
+            undo.close()
+    delays_s = heard.result().delays_s
+    assert len(delays_s) == SENT
+    assert delays_s.max() > 0.02, "nothing was sent before it ended"
+    assert delays_s.max() < 1.0
