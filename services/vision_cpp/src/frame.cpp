@@ -56,27 +56,27 @@ void Image::find_rows(std::span<const Bytes> pieces) {
     const auto height = static_cast<std::size_t>(view_.height);
     rows_.reserve(height);
     copied_.reserve(std::min(pieces.size(), height) * step);  // a row that is copied ends a piece: it never grows
-    Bytes rest = pieces.front();
-    pieces = pieces.subspan(1);
+    Bytes rest;
+    const auto go_on = [&] {
+        while (rest.empty()) {
+            rest = pieces.front();
+            pieces = pieces.subspan(1);
+        }
+    };
     while (rows_.size() < height) {
+        go_on();
         if (rest.size() >= step) {
             rows_.push_back(rest.data());
             rest = rest.subspan(step);
             continue;
         }
-        if (rest.empty()) {
-            rest = pieces.front();
-            pieces = pieces.subspan(1);
-            continue;
-        }
         const std::size_t begin = copied_.size();
-        while (copied_.size() < begin + step) {
-            const Bytes here = rest.first(std::min(rest.size(), begin + step - copied_.size()));
+        for (std::size_t missing = step; missing > 0;) {
+            go_on();
+            const Bytes here = rest.first(std::min(rest.size(), missing));
             copied_.insert(copied_.end(), here.begin(), here.end());
             rest = rest.subspan(here.size());
-            if (copied_.size() == begin + step) break;
-            rest = pieces.front();
-            pieces = pieces.subspan(1);
+            missing -= here.size();
         }
         rows_.push_back(copied_.data() + begin);
     }
