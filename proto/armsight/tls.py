@@ -4,12 +4,13 @@ A handshake of our own, with the same files, tells what either side has against 
 """
 
 import json
-import re
 import socket
 import ssl
 from dataclasses import dataclass
 
 import zenoh
+
+from armsight.endpoints import host_and_port
 
 _TIMEOUT_S = 1.0
 
@@ -47,12 +48,6 @@ def tls_files(settings: zenoh.Config) -> TlsFiles:
         return str(json.loads(settings.get_json(f"{SETTINGS}/{name}")) or "")
 
     return TlsFiles(get("root_ca_certificate"), get("connect_certificate"), get("connect_private_key"))
-
-
-def host_and_port(address: str) -> tuple[str, str]:
-    """The parts of HOST:PORT, without an endpoint's options and the brackets of an IPv6 address."""
-    host, _, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
-    return host.strip("[]"), port
 
 
 def why_refused(endpoint: str, files: TlsFiles) -> str:

@@ -154,6 +154,22 @@ def test_link_between_routers_holds_back_little_unless_it_says_so(link: str, mad
     assert json.loads(settings.get_json("connect/endpoints")) == [made]
 
 
+@pytest.mark.parametrize(
+    ("endpoint", "made"),
+    [
+        ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:7447"),
+        ("unixsock-stream//tmp/armsight", "unixsock-stream//tmp/armsight"),
+        ("ws/robot.local:7447", "ws/robot.local:7447"),
+        ("tcp/robot.local:7447", "tcp/robot.local:7447#so_sndbuf=49152"),
+        ("tls/[fd00::1]:7447", "tls/[fd00::1]:7447#so_sndbuf=49152"),
+        ("tls/robot.local:7447#so_sndbuf=4194304", "tls/robot.local:7447#so_sndbuf=4194304"),
+    ],
+)
+def test_client_has_little_on_its_way_to_another_machine_unless_it_says_so(endpoint: str, made: str) -> None:
+    settings = zenoh_settings(SessionConfig(endpoints=(endpoint,)))
+    assert json.loads(settings.get_json("connect/endpoints")) == [made]
+
+
 def test_port_in_use_is_a_clear_error(endpoint: str) -> None:
     config = SessionConfig(mode="router", endpoints=(endpoint,), namespace="", shared_memory="off")
     first = open_session(config, threading.Event())

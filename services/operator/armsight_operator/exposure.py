@@ -4,11 +4,10 @@ import ipaddress
 from collections.abc import Collection, Sequence
 from urllib.parse import urlsplit
 
-from armsight.tls import host_and_port
+from armsight.endpoints import host_and_port, is_local
 from armsight_operator.errors import InsecureBindError
 
 _WITH_CERTIFICATES = ("tls", "quic")
-_IN_FILE_SYSTEM = ("unixsock-stream", "unixpipe")
 _MUTUAL = "enable_mtls"
 
 
@@ -81,18 +80,6 @@ def _is_number(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def is_local(endpoint: str) -> bool:
-    """Whether only processes of this machine can connect there."""
-    protocol, _, address = endpoint.partition("/")
-    if protocol in _IN_FILE_SYSTEM:
-        return True
-    host, _ = host_and_port(address)
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _is_safe(endpoint: str, *, mutual_tls: bool) -> bool:

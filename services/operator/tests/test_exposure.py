@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from armsight.endpoints import is_local
 from armsight_operator.cli.app import main
 from armsight_operator.errors import InsecureBindError
-from armsight_operator.exposure import check_exposure, check_host_exposure, is_local, reachable_from_here
+from armsight_operator.exposure import check_exposure, check_host_exposure, reachable_from_here
 from armsight_operator.stack import free_port
 from secure_bus import SecureBus
 

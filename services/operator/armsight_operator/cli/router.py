@@ -82,10 +82,10 @@ def router(
 
 
 def _run(config: "SessionConfig") -> None:
+    from armsight.endpoints import is_local
     from armsight.logs import set_up_logging
     from armsight.session import open_session
     from armsight_operator.certs.layout import CERTIFICATE
-    from armsight_operator.exposure import is_local
 
     set_up_logging("router", "warning")
     if config.file is not None and (config.file.parent / CERTIFICATE).exists():

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from armsight.endpoints import host_and_port, is_local
 from armsight.service import VERSION
 from armsight.session import SessionConfig
 from armsight.shared_memory import POOL_BYTES, SESSION_BYTES, free_bytes
-from armsight.tls import host_and_port
 from armsight_operator.doctor import facts, machine, network, software
 from armsight_operator.doctor.finding import Finding
 from armsight_operator.errors import MissingExecutableError
-from armsight_operator.exposure import is_local
 from armsight_operator.stack.executables import VISION_VARIABLE, find_executable, repository_root
 
 _HELP_S = 10.0
