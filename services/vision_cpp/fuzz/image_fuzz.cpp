@@ -5,7 +5,6 @@
 #include <cmath>
 #include <cstdlib>
 #include <variant>
-#include <vector>
 
 #include "armsight/vision/frame.hpp"
 #include "armsight/vision/pipeline.hpp"
@@ -34,15 +33,6 @@ void check(const MarkerEstimate& estimate) {
     if (!is_finite || (is_seen && !estimate.position) || std::isnan(estimate.age_s)) std::abort();
 }
 
-// As the bus might: in one piece, or in several of a length that the bytes themselves say.
-std::vector<Bytes> cut(Bytes bytes) {
-    std::vector<Bytes> pieces;
-    const std::size_t length = bytes.empty() || bytes.back() == 0 ? bytes.size() : bytes.back();
-    for (; bytes.size() > length; bytes = bytes.subspan(length)) pieces.push_back(bytes.first(length));
-    pieces.push_back(bytes);
-    return pieces;
-}
-
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
@@ -52,21 +42,18 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
                               {.name = "ball", .radius = 0.3, .color = {1.0, 0.0, 1.0}},
                               {.name = "crate", .radius = 0.0, .color = {1.0, 0.0, 1.0}, .shape = Shape::Box}});
     service::ImageMessage message{};
-    const std::vector<Bytes> pieces = cut({data, size});
     try {
-        message = service::decode_image(pieces);
+        message = service::decode_image({data, size});
     } catch (const service::MalformedMessage&) {
         return 0;
     }
     const auto checked = validate_image(message.data, message.width, message.height, message.step, message.encoding);
-    const auto* taken = std::get_if<Image>(&checked);
-    if (taken == nullptr) return 0;
-    const ImageView& image = taken->view();
-    if (image.width * image.height > kMaxPixels) return 0;
+    const auto* image = std::get_if<ImageView>(&checked);
+    if (image == nullptr || image->width * image->height > kMaxPixels) return 0;
     pipeline.reset();
-    const std::array<Camera, 2> cameras{camera(image, 0.0, 0.0), camera(image, 0.8, 0.1)};
-    const std::array<CameraFrame, 2> both{CameraFrame{.camera = cameras.data(), .image = image},
-                                          CameraFrame{.camera = &cameras[1], .image = image}};
+    const std::array<Camera, 2> cameras{camera(*image, 0.0, 0.0), camera(*image, 0.8, 0.1)};
+    const std::array<CameraFrame, 2> both{CameraFrame{.camera = cameras.data(), .image = *image},
+                                          CameraFrame{.camera = &cameras[1], .image = *image}};
     for (const auto& estimate : pipeline.process(1, both)) check(estimate);
     for (const auto& estimate : pipeline.process(2, std::span(both).first(1))) check(estimate);
     return 0;

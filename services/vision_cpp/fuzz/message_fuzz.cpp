@@ -11,7 +11,7 @@ namespace {
 
 using namespace armsight::vision;
 
-void try_description(Bytes payload, service::Rig& rig) {
+void try_description(service::Bytes payload, service::Rig& rig) {
     const auto description = service::decode_description(payload);
     rig.set(description);
     try {
@@ -26,7 +26,7 @@ void try_description(Bytes payload, service::Rig& rig) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
     if (size == 0) return 0;
     service::silence_protobuf();
-    const Bytes payload(data + 1, size - 1);
+    const service::Bytes payload(data + 1, size - 1);
     service::Rig rig;
     rig.set({.markers = {}, .cameras = {"1"}});
     try {

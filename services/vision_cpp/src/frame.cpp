@@ -27,63 +27,8 @@ std::string printable(std::string_view text) {
 
 }  // namespace
 
-ImageView ImageView::part(int x0, int y0, int x1, int y1) const {
-    ImageView result = *this;
-    result.width = x1 - x0;
-    result.height = y1 - y0;
-    const std::ptrdiff_t before = std::ptrdiff_t{x0} * layout(format).size;
-    if (rows != nullptr) {
-        result.rows += y0;
-        result.left += before;
-    } else {
-        result.data = data.subspan(static_cast<std::size_t>(y0) * static_cast<std::size_t>(step) +
-                                   static_cast<std::size_t>(before));
-    }
-    return result;
-}
-
-Image::Image(std::span<const Bytes> pieces, ImageView shape) : view_(shape) {
-    if (pieces.size() == 1) {
-        view_.data = pieces.front();
-    } else {
-        find_rows(pieces);
-        view_.rows = rows_.data();
-    }
-}
-
-void Image::find_rows(std::span<const Bytes> pieces) {
-    const auto step = static_cast<std::size_t>(view_.step);
-    const auto height = static_cast<std::size_t>(view_.height);
-    rows_.reserve(height);
-    copied_.reserve(std::min(pieces.size(), height) * step);  // a row that is copied ends a piece: it never grows
-    Bytes rest;
-    const auto go_on = [&] {
-        while (rest.empty()) {
-            rest = pieces.front();
-            pieces = pieces.subspan(1);
-        }
-    };
-    while (rows_.size() < height) {
-        go_on();
-        if (rest.size() >= step) {
-            rows_.push_back(rest.data());
-            rest = rest.subspan(step);
-            continue;
-        }
-        const std::size_t begin = copied_.size();
-        for (std::size_t missing = step; missing > 0;) {
-            go_on();
-            const Bytes here = rest.first(std::min(rest.size(), missing));
-            copied_.insert(copied_.end(), here.begin(), here.end());
-            rest = rest.subspan(here.size());
-            missing -= here.size();
-        }
-        rows_.push_back(copied_.data() + begin);
-    }
-}
-
-std::variant<Image, Refusal> validate_image(std::span<const Bytes> pieces, std::uint32_t width, std::uint32_t height,
-                                            std::uint32_t step, std::string_view encoding) {
+std::variant<ImageView, Refusal> validate_image(std::span<const std::uint8_t> data, std::uint32_t width,
+                                                std::uint32_t height, std::uint32_t step, std::string_view encoding) {
     const auto format = parse_encoding(encoding);
     if (!format) {
         return Refusal{.counter = "image_refused_encoding",
@@ -101,18 +46,16 @@ std::variant<Image, Refusal> validate_image(std::span<const Bytes> pieces, std::
                                " bytes (at most " + std::to_string(kMaxStep) + ")"};
     }
     const std::uint64_t needed = std::uint64_t{step} * height;
-    std::uint64_t has = 0;
-    for (const Bytes piece : pieces) has += piece.size();
-    if (needed > has) {
-        return Refusal{
-            .counter = "image_refused_truncated",
-            .text = "step x height is " + std::to_string(needed) + " bytes, but the data has " + std::to_string(has)};
+    if (needed > data.size()) {
+        return Refusal{.counter = "image_refused_truncated",
+                       .text = "step x height is " + std::to_string(needed) + " bytes, but the data has " +
+                               std::to_string(data.size())};
     }
-    return Image(pieces, {.data = {},
-                          .width = static_cast<int>(width),
-                          .height = static_cast<int>(height),
-                          .step = static_cast<int>(step),
-                          .format = *format});
+    return ImageView{.data = data,
+                     .width = static_cast<int>(width),
+                     .height = static_cast<int>(height),
+                     .step = static_cast<int>(step),
+                     .format = *format};
 }
 
 }  // namespace armsight::vision

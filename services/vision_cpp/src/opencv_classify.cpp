@@ -21,10 +21,10 @@ struct Planes {
 
 Planes normalise(const ImageView& image) {
     const PixelLayout order = layout(image.format);
-    cv::Mat bytes(image.height, image.width, CV_MAKETYPE(CV_8U, order.size));
-    for (int y = 0; y < image.height; ++y) {  // they may lie apart, which OpenCV has no view of
-        std::copy_n(image.row(y), image.width * order.size, bytes.ptr(y));
-    }
+    // OpenCV has no view of constant pixels; nothing below writes to it
+    const cv::Mat bytes(image.height, image.width, CV_MAKETYPE(CV_8U, order.size),
+                        const_cast<std::uint8_t*>(image.data.data()),  // NOLINT(cppcoreguidelines-pro-type-const-cast)
+                        static_cast<std::size_t>(image.step));
     cv::Mat real;
     bytes.convertTo(real, CV_MAKETYPE(CV_32F, order.size));
     std::array<cv::Mat, 4> read;

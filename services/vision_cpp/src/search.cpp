@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <utility>
 
 namespace armsight::vision {
@@ -21,7 +22,12 @@ bool classify_region(const Classifier& classifier, const ImageView& image, const
     mask.runs.clear();
     mask.components.clear();
     if (region.x0 >= region.x1 || region.y0 >= region.y1) return true;
-    const ImageView part = image.part(region.x0, region.y0, region.x1, region.y1);
+    ImageView part = image;
+    part.data =
+        image.data.subspan(static_cast<std::size_t>(region.y0) * static_cast<std::size_t>(image.step) +
+                           static_cast<std::size_t>(region.x0) * static_cast<std::size_t>(layout(image.format).size));
+    part.width = region.x1 - region.x0;
+    part.height = region.y1 - region.y0;
     scratch.resize(1);
     std::swap(mask, scratch.front());  // keeps its memory
     classifier(part, {&cone, 1}, scratch);

@@ -63,11 +63,12 @@ class Shared {
     void take_image(const std::string& camera, std::shared_ptr<const std::string> bytes) {
         // NOLINTNEXTLINE(cppcoreguidelines-pro-type-reinterpret-cast): a string's characters are bytes
         const Bytes payload{reinterpret_cast<const std::uint8_t*>(bytes->data()), bytes->size()};
-        const ImageMessage message = decode_image({&payload, 1});
-        auto checked = validate_image(message.data, message.width, message.height, message.step, message.encoding);
+        const ImageMessage message = decode_image(payload);
+        const auto checked =
+            validate_image(message.data, message.width, message.height, message.step, message.encoding);
         const auto size = rig.size_of(camera);
-        auto* image = std::get_if<Image>(&checked);
-        if (image == nullptr || (size && size->first != image->view().width)) {
+        const auto* image = std::get_if<ImageView>(&checked);
+        if (image == nullptr || (size && size->first != image->width)) {
             counters.add("refused");
             return;
         }
@@ -78,7 +79,7 @@ class Shared {
                          .capture_ns = message.capture_ns,
                          .sent_ns = 0,
                          .received_ns = 0,
-                         .image = std::move(*image),
+                         .image = *image,
                          .owner = std::move(bytes)},
                         std::chrono::steady_clock::now());
         }
@@ -144,7 +145,7 @@ TEST(Threads, ImagesRigAndHealthComeWhileTheLoopMeasures) {
         const auto known = shared.rig.cameras();
         std::vector<CameraFrame> frames;
         for (const Frame& frame : instant->frames) {
-            frames.push_back({.camera = &known.at(frame.camera == "1" ? 0 : 1), .image = frame.image.view()});
+            frames.push_back({.camera = &known.at(frame.camera == "1" ? 0 : 1), .image = frame.image});
         }
         const auto& estimates = pipeline.process(instant->capture_ns, frames);
         EXPECT_NE(estimates.at(3).status, MarkerStatus::Lost);

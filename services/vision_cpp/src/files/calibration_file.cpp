@@ -37,7 +37,7 @@ Message message_of(const json& part) {
 
 // By way of the bytes that the bus would carry: the checks are the same then.
 template <typename Message, typename Result>
-Result decoded(const Message& message, Result (*decode)(Bytes)) {
+Result decoded(const Message& message, Result (*decode)(service::Bytes)) {
     const std::string text = message.SerializeAsString();
     // NOLINTNEXTLINE(cppcoreguidelines-pro-type-reinterpret-cast): a string's characters are bytes
     return decode({reinterpret_cast<const std::uint8_t*>(text.data()), text.size()});

@@ -21,14 +21,13 @@ namespace {
 constexpr std::int64_t kInstant = 0;  // files do not say when they were taken
 
 CameraFrame frame_of(const Camera& camera, const Picture& picture) {
-    const Bytes bytes(picture.rgb);
     const auto width = static_cast<std::uint32_t>(picture.width);
     const auto height = static_cast<std::uint32_t>(picture.height);
-    auto checked = validate_image({&bytes, 1}, width, height, 3 * width, "rgb8");
+    auto checked = validate_image(picture.rgb, width, height, 3 * width, "rgb8");
     if (const auto* refusal = std::get_if<Refusal>(&checked)) {
         throw FileError("the image of camera " + camera.name + " cannot be used: " + refusal->text);
     }
-    CameraFrame frame{.camera = &camera, .image = std::get<Image>(checked).view()};
+    CameraFrame frame{.camera = &camera, .image = std::get<ImageView>(checked)};
     if (!is_measurable(frame)) {
         throw FileError("camera " + camera.name + " is calibrated for images of " + std::to_string(camera.width) +
                         " x " + std::to_string(camera.height) + ", not " + std::to_string(picture.width) + " x " +

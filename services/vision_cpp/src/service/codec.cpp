@@ -1,13 +1,11 @@
 #include "service/codec.hpp"
 
 #include <google/protobuf/io/coded_stream.h>
-#include <google/protobuf/io/zero_copy_stream_impl.h>
 #include <google/protobuf/stubs/logging.h>
 #include <google/protobuf/timestamp.pb.h>
 
 #include <algorithm>
 #include <cmath>
-#include <deque>
 #include <limits>
 #include <optional>
 
@@ -28,11 +26,6 @@ constexpr double kOnAxisMetres = 1e-3;
 constexpr double kMaxMetres = 1e4;  // farther than any camera of this use sees
 
 enum class WireType : std::uint32_t { Varint = 0, Fixed64 = 1, Length = 2, Fixed32 = 5 };
-
-// Of an encoding's name: more than any has.
-constexpr std::size_t kMaxEncoding = 64;
-
-Bytes as_bytes(const std::string& text) { return {reinterpret_cast<const std::uint8_t*>(text.data()), text.size()}; }
 
 template <typename Message>
 Message parse(Bytes payload) {
@@ -59,66 +52,16 @@ bool is_name(const std::string& name) {
     return !name.empty() && name.size() <= 64 && std::ranges::all_of(name, is_plain);
 }
 
-// A message whose bytes are in pieces, as protobuf reads it.
-class InPieces {
-  public:
-    explicit InPieces(std::span<const Bytes> pieces) : pieces_(pieces) {
-        for (const Bytes piece : pieces) size_ += piece.size();
-        if (size_ > static_cast<std::size_t>(std::numeric_limits<int>::max())) {
-            throw MalformedMessage("an image of more than 2 GiB");
-        }
-        for (const Bytes piece : pieces) {
-            inputs_.push_back(&arrays_.emplace_back(piece.data(), static_cast<int>(piece.size())));
-        }
-    }
-
-    [[nodiscard]] google::protobuf::io::ConcatenatingInputStream input() {
-        return {inputs_.data(), static_cast<int>(inputs_.size())};
-    }
-
-    [[nodiscard]] std::size_t size() const { return size_; }
-
-    // So many bytes from a position on, in place.
-    [[nodiscard]] std::vector<Bytes> cut(std::size_t position, std::size_t length) const {
-        std::vector<Bytes> result;
-        for (Bytes piece : pieces_) {
-            if (length == 0) break;
-            const std::size_t before = std::min(position, piece.size());
-            position -= before;
-            piece = piece.subspan(before, std::min(length, piece.size() - before));
-            length -= piece.size();
-            if (!piece.empty()) result.push_back(piece);
-        }
-        return result;
-    }
-
-  private:
-    std::span<const Bytes> pieces_;
-    std::size_t size_ = 0;
-    std::deque<google::protobuf::io::ArrayInputStream> arrays_;
-    std::vector<google::protobuf::io::ZeroCopyInputStream*> inputs_;
-};
-
-std::string joined(const std::vector<Bytes>& pieces) {
-    std::string result;
-    for (const Bytes piece : pieces) result.append(piece.begin(), piece.end());
-    return result;
-}
-
-// Where a length-delimited field's bytes lie.
-struct Field {
-    std::size_t position, length;
-};
-
-std::optional<Field> read_field(google::protobuf::io::CodedInputStream& stream, const InPieces& message) {
+// A length-delimited field's bytes, in place.
+std::optional<Bytes> read_bytes(google::protobuf::io::CodedInputStream& stream, Bytes payload) {
     std::uint32_t length = 0;
     if (!stream.ReadVarint32(&length)) return std::nullopt;
     const auto position = static_cast<std::size_t>(stream.CurrentPosition());
-    if (length > message.size() - position || !stream.Skip(static_cast<int>(length))) return std::nullopt;
-    return Field{.position = position, .length = length};
+    if (length > payload.size() - position || !stream.Skip(static_cast<int>(length))) return std::nullopt;
+    return payload.subspan(position, length);
 }
 
-bool skip(google::protobuf::io::CodedInputStream& stream, const InPieces& message, WireType type) {
+bool skip(google::protobuf::io::CodedInputStream& stream, Bytes payload, WireType type) {
     std::uint64_t ignored = 0;
     std::uint32_t ignored32 = 0;
     switch (type) {
@@ -129,7 +72,7 @@ bool skip(google::protobuf::io::CodedInputStream& stream, const InPieces& messag
         case WireType::Fixed32:
             return stream.ReadLittleEndian32(&ignored32);
         case WireType::Length:
-            return read_field(stream, message).has_value();
+            return read_bytes(stream, payload).has_value();
     }
     return false;
 }
@@ -186,11 +129,12 @@ v1::MarkerStatus status_of(MarkerStatus status) {
 void silence_protobuf() { google::protobuf::SetLogHandler(nullptr); }
 
 // protobuf's own parser would copy the pixels.
-ImageMessage decode_image(std::span<const Bytes> pieces) {
+ImageMessage decode_image(Bytes payload) {
     using Raw = foxglove::RawImage;
-    InPieces message(pieces);
-    auto input = message.input();
-    google::protobuf::io::CodedInputStream stream(&input);
+    if (payload.size() > static_cast<std::size_t>(std::numeric_limits<int>::max())) {
+        throw MalformedMessage("an image of more than 2 GiB");
+    }
+    google::protobuf::io::CodedInputStream stream(payload.data(), static_cast<int>(payload.size()));
     ImageMessage image{.capture_ns = 0, .width = 0, .height = 0, .step = 0, .encoding = {}, .data = {}};
     bool has_time = false;
     const auto fail = [] { return MalformedMessage("the bytes are not a foxglove.RawImage"); };
@@ -200,15 +144,14 @@ ImageMessage decode_image(std::span<const Bytes> pieces) {
         const auto fixed32 = [&](std::uint32_t& value) {
             if (type != WireType::Fixed32 || !stream.ReadLittleEndian32(&value)) throw fail();
         };
-        const auto read = [&](std::size_t most) {
-            const auto found = type == WireType::Length ? read_field(stream, message) : std::nullopt;
+        const auto bytes = [&] {
+            const auto found = type == WireType::Length ? read_bytes(stream, payload) : std::nullopt;
             if (!found) throw fail();
-            return message.cut(found->position, std::min(found->length, most));
+            return *found;
         };
         switch (field) {
             case Raw::kTimestampFieldNumber:
-                image.capture_ns =
-                    nanoseconds(parse<google::protobuf::Timestamp>(as_bytes(joined(read(message.size())))));
+                image.capture_ns = nanoseconds(parse<google::protobuf::Timestamp>(bytes()));
                 has_time = true;
                 break;
             case Raw::kWidthFieldNumber:
@@ -220,14 +163,17 @@ ImageMessage decode_image(std::span<const Bytes> pieces) {
             case Raw::kStepFieldNumber:
                 fixed32(image.step);
                 break;
-            case Raw::kEncodingFieldNumber:
-                image.encoding = joined(read(kMaxEncoding));
+            case Raw::kEncodingFieldNumber: {
+                const Bytes text = bytes();
+                image.encoding.assign(
+                    text.begin(), text.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(text.size(), 64)));
                 break;
+            }
             case Raw::kDataFieldNumber:
-                image.data = read(message.size());
+                image.data = bytes();
                 break;
             default:
-                if (!skip(stream, message, type)) throw fail();
+                if (!skip(stream, payload, type)) throw fail();
         }
     }
     if (!stream.ConsumedEntireMessage()) throw fail();

@@ -13,9 +13,10 @@
 #include "armsight/v1/parameters.pb.h"
 #include "armsight/vision/description.hpp"
 #include "armsight/vision/estimate.hpp"
-#include "armsight/vision/frame.hpp"
 
 namespace armsight::vision::service {
+
+using Bytes = std::span<const std::uint8_t>;
 
 /// Bytes from the bus that are not the message they should be, or one that cannot be used.
 class MalformedMessage : public std::runtime_error {
@@ -26,15 +27,14 @@ class MalformedMessage : public std::runtime_error {
 /// Keeps protobuf from writing lines of its own to stderr: what is malformed is counted, and told by whoever parsed it.
 void silence_protobuf();
 
-/// Fields of a foxglove.RawImage; `data` points into the pieces of the message, which are never copied.
+/// Fields of a foxglove.RawImage; `data` points into the message's bytes, which are never copied.
 struct ImageMessage {
     std::int64_t capture_ns;
     std::uint32_t width, height, step;
     std::string encoding;
-    std::vector<Bytes> data;
+    Bytes data;
 };
-/// Of a message whose bytes came in one piece or several.
-[[nodiscard]] ImageMessage decode_image(std::span<const Bytes> pieces);
+[[nodiscard]] ImageMessage decode_image(Bytes payload);
 
 /// The part of a camera that foxglove.CameraCalibration tells.
 struct Calibration {

@@ -19,7 +19,7 @@ struct Frame {
     std::string camera;
     std::int64_t capture_ns;
     std::uint64_t sent_ns, received_ns;  ///< wall clocks of sender and receiver, Unix nanoseconds
-    Image image;
+    ImageView image;
     std::shared_ptr<const void> owner;  ///< of the image's bytes
 };
 

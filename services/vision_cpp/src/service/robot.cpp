@@ -108,20 +108,19 @@ SteadyTime Robot::next_turn() {
     return std::min(due.value_or(look), look);
 }
 
-// By a reading thread: checks the image and keeps it for a turn, its pixels where Zenoh received them.
+// By a reading thread: checks the image and keeps it for a turn without copying its pixels.
 void Robot::take_image(const std::string& camera, zenoh::Sample sample) {
     const auto received_ns = static_cast<std::uint64_t>(wall_ns());
     const auto owner = std::make_shared<const zenoh::Sample>(std::move(sample));
-    const ImageMessage message = decode_image(owner->get_slices());
+    const ImageMessage message = decode_image(owner->get_payload());
     auto checked = validate_image(message.data, message.width, message.height, message.step, message.encoding);
-    if (const auto* image = std::get_if<Image>(&checked)) {
-        const auto [width, height] = std::pair{image->view().width, image->view().height};
+    if (const auto* image = std::get_if<ImageView>(&checked)) {
         const auto size = rig_.size_of(camera);
-        if (size && *size != std::pair{width, height}) {
+        if (size && *size != std::pair{image->width, image->height}) {
             checked = Refusal{.counter = "image_refused_calibration",
                               .text = "the calibration is for images of " + std::to_string(size->first) + " x " +
-                                      std::to_string(size->second) + ", not " + std::to_string(width) + " x " +
-                                      std::to_string(height)};
+                                      std::to_string(size->second) + ", not " + std::to_string(image->width) + " x " +
+                                      std::to_string(image->height)};
         }
     }
     if (const auto* refusal = std::get_if<Refusal>(&checked)) {
@@ -142,7 +141,7 @@ void Robot::take_image(const std::string& camera, zenoh::Sample sample) {
                        .capture_ns = message.capture_ns,
                        .sent_ns = decode_sent_ns(owner->get_attachment()),
                        .received_ns = received_ns,
-                       .image = std::get<Image>(std::move(checked)),
+                       .image = std::get<ImageView>(checked),
                        .owner = owner},
                       steady_clock::now());
     }
@@ -221,7 +220,7 @@ void Robot::answer(const Instant& instant) {
     for (const Frame& frame : instant.frames) {
         const auto camera = std::ranges::find(cameras_, frame.camera, &Camera::name);
         if (camera == cameras_.end()) continue;
-        frames.push_back({.camera = &*camera, .image = frame.image.view()});
+        frames.push_back({.camera = &*camera, .image = frame.image});
         stages.frames_sent_ns = std::max(stages.frames_sent_ns, frame.sent_ns);
         stages.received_ns = std::max(stages.received_ns, frame.received_ns);
     }

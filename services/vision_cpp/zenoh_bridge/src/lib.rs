@@ -7,7 +7,7 @@ mod log;
 
 use std::error::Error;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
 
 use zenoh::config::WhatAmI;
@@ -86,11 +86,7 @@ mod ffi {
         fn is_shared_memory(self: &Sample) -> bool;
         fn key(self: &Sample) -> &str;
         fn encoding(self: &Sample) -> String;
-        /// In one piece, joined when it is first asked for.
         fn payload(self: &Sample) -> &[u8];
-        fn slice_count(self: &Sample) -> usize;
-        /// Of `slice_count` pieces in which the payload came.
-        fn slice(self: &Sample, index: usize) -> &[u8];
         fn attachment(self: &Sample) -> &[u8];
 
         /// Empty when nothing came in time.
@@ -128,10 +124,10 @@ pub struct LivelinessToken(#[allow(dead_code)] zenoh::liveliness::LivelinessToke
 
 pub struct Queryable(zenoh::query::Queryable<FifoChannelHandler<zenoh::query::Query>>);
 
-/// Zenoh's payload may come in fragments: they are borrowed one by one, and joined for who wants all in one piece.
+/// Zenoh's payload may come in fragments: those are joined in `joined`, a payload in one piece is borrowed.
 pub struct Sample {
     inner: Option<zenoh::sample::Sample>,
-    joined: OnceLock<Vec<u8>>,
+    joined: Vec<u8>,
     attachment: Vec<u8>,
 }
 
@@ -316,13 +312,18 @@ impl Subscriber {
 
 impl Sample {
     fn new(inner: Option<zenoh::sample::Sample>) -> Self {
-        let attachment = inner
-            .as_ref()
-            .and_then(|sample| sample.attachment())
-            .map_or_else(Vec::new, |bytes| bytes.to_bytes().into_owned());
+        let (mut joined, mut attachment) = (Vec::new(), Vec::new());
+        if let Some(sample) = &inner {
+            if sample.payload().slices().count() > 1 {
+                joined = sample.payload().to_bytes().into_owned();
+            }
+            if let Some(bytes) = sample.attachment() {
+                attachment = bytes.to_bytes().into_owned();
+            }
+        }
         Self {
             inner,
-            joined: OnceLock::new(),
+            joined,
             attachment,
         }
     }
@@ -355,29 +356,13 @@ impl Sample {
             .map_or_else(String::new, |sample| sample.encoding().to_string())
     }
 
-    fn bytes(&self) -> Option<&zenoh::bytes::ZBytes> {
-        self.inner.as_ref().map(|sample| sample.payload())
-    }
-
     fn payload(&self) -> &[u8] {
-        let Some(bytes) = self.bytes() else {
-            return &[];
-        };
-        let mut slices = bytes.slices();
-        match (slices.next(), slices.next()) {
-            (only, None) => only.unwrap_or(&[]),
-            _ => self.joined.get_or_init(|| bytes.to_bytes().into_owned()),
+        match &self.inner {
+            Some(sample) if self.joined.is_empty() => {
+                sample.payload().slices().next().unwrap_or(&[])
+            }
+            _ => &self.joined,
         }
-    }
-
-    fn slice_count(&self) -> usize {
-        self.bytes().map_or(0, |bytes| bytes.slices().count())
-    }
-
-    fn slice(&self, index: usize) -> &[u8] {
-        self.bytes()
-            .and_then(|bytes| bytes.slices().nth(index))
-            .unwrap_or(&[])
     }
 
     fn attachment(&self) -> &[u8] {
@@ -477,10 +462,6 @@ mod tests {
         assert!(sample.is_put());
         assert_eq!(sample.key(), "a/b");
         assert_eq!(sample.encoding(), "application/protobuf;x.Y");
-        assert!(sample.slice_count() > 1, "longer than a packet");
-        let slices: Vec<&[u8]> = (0..sample.slice_count()).map(|i| sample.slice(i)).collect();
-        assert_eq!(slices.concat(), payload);
-        assert!(sample.slice(sample.slice_count()).is_empty());
         assert_eq!(sample.payload(), payload);
         assert_eq!(sample.attachment(), b"stamp");
         assert!(subscriber.recv(50).expect("waited").is_empty());

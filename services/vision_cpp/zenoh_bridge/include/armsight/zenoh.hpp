@@ -8,7 +8,6 @@
 #include <string>
 #include <string_view>
 #include <utility>
-#include <vector>
 
 #include "rust/cxx.h"
 #include "zenoh_bridge/src/lib.rs.h"
@@ -75,14 +74,7 @@ class Sample {
         return {key.data(), key.size()};
     }
     [[nodiscard]] std::string get_encoding() const { return std::string(inner_->encoding()); }
-    /// In one piece: copied together where it came in several.
     [[nodiscard]] Bytes get_payload() const { return detail::bytes(inner_->payload()); }
-    /// The pieces in which it came: several where it was too long for one packet of Zenoh's.
-    [[nodiscard]] std::vector<Bytes> get_slices() const {
-        std::vector<Bytes> slices(inner_->slice_count());
-        for (std::size_t i = 0; i < slices.size(); ++i) slices[i] = detail::bytes(inner_->slice(i));
-        return slices;
-    }
     [[nodiscard]] Bytes get_attachment() const { return detail::bytes(inner_->attachment()); }
 
   private:
