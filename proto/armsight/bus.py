@@ -312,10 +312,10 @@ class Bus:
         self._threads.append(subscriber.thread)
         return subscriber
 
-    def newest(self, topic: Topic[M], name: str | None = None) -> Newest[M]:
+    def newest(self, topic: Topic[M]) -> Newest[M]:
         """Declares a subscriber whose newest sample is there for whoever asks."""
         ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(_UNASKED)
-        return Newest(topic, self._declare_subscriber(topic, topic.key_for(name), ring), self.counters)
+        return Newest(topic, self._declare_subscriber(topic, topic.key_for(), ring), self.counters)
 
     def tap(
         self, topic: Topic[Any], take: Callable[[Sample], None], name: str | None = None, *, fifo: int = 64

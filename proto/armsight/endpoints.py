@@ -3,7 +3,7 @@
 import ipaddress
 import re
 
-WITH_PORT = ("tcp", "udp", "tls", "quic", "ws")
+_WITH_PORT = ("tcp", "udp", "tls", "quic", "ws")
 """Protocols whose address is a host and a port; what others want only Zenoh knows."""
 
 _IN_FILE_SYSTEM = ("unixsock-stream", "unixpipe")
@@ -14,7 +14,7 @@ _SEND_BUFFER = "so_sndbuf"
 def is_endpoint(text: str) -> bool:
     """Whether Zenoh could make something of it."""
     protocol, _, address = text.partition("/")
-    if protocol not in WITH_PORT:
+    if protocol not in _WITH_PORT:
         return bool(protocol and address)
     host, port = host_and_port(address)
     return bool(host) and bool(re.fullmatch(r"[0-9]{1,5}", port)) and 0 < int(port) < 65536
@@ -38,8 +38,8 @@ def is_local(endpoint: str) -> bool:
         return host == "localhost"
 
 
-def with_send_buffer(endpoint: str, bytes_: int) -> str:
-    """The endpoint with a send buffer of the kernel's, unless it says one or has none."""
+def with_send_buffer(endpoint: str, size: int) -> str:
+    """The endpoint with a send buffer of the kernel's, in bytes, unless it says one or has none."""
     if endpoint.partition("/")[0] not in _WITH_SEND_BUFFER or f"{_SEND_BUFFER}=" in endpoint:
         return endpoint
-    return f"{endpoint}{';' if '#' in endpoint else '#'}{_SEND_BUFFER}={bytes_}"
+    return f"{endpoint}{';' if '#' in endpoint else '#'}{_SEND_BUFFER}={size}"

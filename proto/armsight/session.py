@@ -47,8 +47,8 @@ _OPEN_TIMEOUT_MS = 2500
 _SEND_BUFFER_BYTES = 131072
 
 # Of a client to another machine: what a slow link's queue does not take gets lost, and TCP can need seconds to send it
-# again. After 1 Mbit/s the arm went on in 4 s in two of a hundred cases with the above, in 0.4 s at most with this. On
-# this machine it would cost a pair of frames 1 ms.
+# again. After 1 Mbit/s the arm went on in 4 s in two of a hundred cases with the above, in 0.6 s at most with this.
+# Within a machine it would cost a pair of frames 1 ms.
 _REMOTE_BUFFER_BYTES = 49152
 
 # Of a router's link to another: what the kernel has taken no priority overtakes. Where somebody looks at pictures over
