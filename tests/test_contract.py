@@ -37,11 +37,12 @@ def uses_in_python(*files: Path) -> Uses:
                 continue
             if node.func.attr == "presence":
                 uses["presence"].add("health")
-            elif node.func.attr in ("publisher", "subscriber", "serve", "query") and node.args:
+            elif node.func.attr in ("publisher", "subscriber", "newest", "serve", "query") and node.args:
                 first = node.args[0]
                 constant = first.attr if isinstance(first, ast.Attribute) else getattr(first, "id", "")
                 if constant in _ROW:
-                    uses[node.func.attr].add(_ROW[constant])
+                    kind = "subscriber" if node.func.attr == "newest" else node.func.attr
+                    uses[kind].add(_ROW[constant])
     return uses
 
 
