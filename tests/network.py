@@ -148,7 +148,7 @@ class Network:
 
     @contextmanager
     def slow(self, hosts: Sequence[str], mbit_s: float) -> Iterator[None]:
-        """Cables have a rate, in either direction."""
+        """Cables have a rate, in either direction; 10 Gbit/s after it."""
         cables = [(end, self.device(host)) for host in hosts for end in (self.middle, self.namespace_of(host))]
         done = []
         try:

@@ -156,9 +156,11 @@ class Subscriber(Generic[M]):
                 sample = handler.recv()
             except zenoh.ZError:
                 break
-            received = _decoded(self._topic, sample, self._counters)
-            if received is None:
+            message = _decoded(self._topic, sample, self._counters)
+            if message is None:
                 continue
+            key = str(sample.key_expr)
+            received = Received(message, key, self._topic.name_in(key), monotonic())
             self._latest = received
             if self._on_message is not None:
                 self._call(self._on_message, received)
@@ -196,9 +198,9 @@ class Newest(Generic[M]):
         """What came last and could be decoded, now and whenever asked again; nothing before the first."""
         try:
             while (sample := self._inner.handler.try_recv()) is not None:
-                received = _decoded(self._topic, sample, self._counters)
-                if received is not None:
-                    self._known = received.message
+                message = _decoded(self._topic, sample, self._counters)
+                if message is not None:
+                    self._known = message
         except zenoh.ZError:  # the session ended
             pass
         return self._known
@@ -465,8 +467,7 @@ def open_bus(session: zenoh.Session, counters: Counters | None = None) -> Iterat
         bus.join()
 
 
-def _decoded(topic: Topic[M], sample: zenoh.Sample, counters: Counters) -> Received[M] | None:
-    key = str(sample.key_expr)
+def _decoded(topic: Topic[M], sample: zenoh.Sample, counters: Counters) -> M | None:
     if sample.kind != zenoh.SampleKind.PUT:
         return None
     message = topic.message()
@@ -478,6 +479,7 @@ def _decoded(topic: Topic[M], sample: zenoh.Sample, counters: Counters) -> Recei
     except DecodeError as error:
         total = counters.add(f"malformed_{topic.name}")
         if total & (total - 1) == 0:  # the 1st, 2nd, 4th, 8th, …: a flood stays readable
-            log.warning("ignored a malformed message", extra={"key": key, "reason": str(error), "total": total})
+            told = {"key": str(sample.key_expr), "reason": str(error), "total": total}
+            log.warning("ignored a malformed message", extra=told)
         return None
-    return Received(message, key, topic.name_in(key), monotonic())
+    return message
