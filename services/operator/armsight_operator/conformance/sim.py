@@ -201,7 +201,9 @@ class Commander:
             self._arrived.notify_all()
 
     def _take_clock(self, received: Received[Clock]) -> None:
-        self._clocks.append(received.message)
+        with self._arrived:
+            self._clocks.append(received.message)
+            self._arrived.notify_all()
 
     # --- checks
 
@@ -246,13 +248,18 @@ class Commander:
         """The clock goes on, with the frames."""
         _ = self.clock
         first = len(self._clocks)
-        instants = [self.step() for _ in range(8)]
-        heard = self._clocks[first:]
-        times = [from_timestamp(clock.capture_time) for clock in heard]
-        judge.check_monotonic("clock", times)
+        instants = {self.step() for _ in range(8)}
+
+        def without() -> set[int]:
+            return instants - {from_timestamp(clock.capture_time) for clock in self._clocks}
+
+        with self._arrived:  # a clock may be heard after its frames
+            self._arrived.wait_for(lambda: not without(), ANSWER_S)
+            heard = self._clocks[first:]
+        judge.check_monotonic("clock", [from_timestamp(clock.capture_time) for clock in heard])
         judge.check_monotonic("frame", [clock.frame * NS_PER_S for clock in heard])
-        without = [ns for ns in instants if ns not in {from_timestamp(clock.capture_time) for clock in self._clocks}]
-        require(not without, f"{len(without)} of {len(instants)} instants without a clock", "the time of the frames")
+        seen = f"{len(without())} of {len(instants)} instants without a clock"
+        require(not without(), seen, "the time of the frames")
         for clock in heard:
             require(clock.mode != CLOCK_MODE_UNSPECIFIED, "no mode", "REALTIME or LOCKSTEP")
             require(from_duration(clock.period) > 0, "no period", "the time between two frames")
