@@ -22,6 +22,7 @@ from armsight_control.decision import Decision
 from armsight_control.description import vector3
 from armsight_control.estimators import Estimate
 from armsight_control.kinematics import forward
+from armsight_control.looking import Looking
 from armsight_control.modes import AIMING
 from armsight_control.movement import Pointed
 
@@ -53,21 +54,28 @@ class Answer:
     mode: ControlMode
     decision: Decision
     chain: Chain | None
-    estimate: Estimate | None
+    looking: Looking | None
+    """What tells the angles, once anything was looked at."""
     aimed: Aimed
     again: bool = False
     """The same answer was given before."""
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """The angles, as far as they are known."""
+        return None if self.looking is None else self.looking.estimate
 
     @cached_property
     def estimated(self) -> JointStates:
         """The angles."""
         estimated = JointStates(timestamp=to_timestamp(self.capture_ns))
-        if self.chain is None or self.estimate is None:
+        estimate = self.estimate
+        if self.chain is None or estimate is None:
             return estimated
-        for name, angle in zip(self.chain.names, self.estimate.angles.tolist(), strict=True):
+        for name, angle in zip(self.chain.names, estimate.angles.tolist(), strict=True):
             estimated.joints.append(JointState(name=name, position=angle))
-        if self.estimate.velocity is not None:
-            for state, velocity in zip(estimated.joints, self.estimate.velocity.tolist(), strict=True):
+        if estimate.velocity is not None:
+            for state, velocity in zip(estimated.joints, estimate.velocity.tolist(), strict=True):
                 state.velocity = velocity
         return estimated
 
@@ -84,8 +92,8 @@ class Answer:
             safety=decision.safety,
         )
         if self.chain is not None:
-            if self.estimate is not None:
-                _fill_estimate(status, self.chain, self.estimate)
+            if (estimate := self.estimate) is not None:
+                _fill_estimate(status, self.chain, estimate)
             _fill_target(status, self.aimed)
         return status
 

@@ -6,6 +6,7 @@ ends in an answer that holds, with its reason counted.
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Point3InFrame_pb2 import Point3InFrame
@@ -28,18 +29,22 @@ from armsight.v1.joints_pb2 import JointPositions
 from armsight.v1.safety_pb2 import StopState
 from armsight_control import safety
 from armsight_control.answer import VALID_FOR_S, Aimed, Answer, command_of
+from armsight_control.bodies import tip_by_markers
 from armsight_control.chain import Array
 from armsight_control.decision import Decision, blind_code
 from armsight_control.description import Arm, arm_of
 from armsight_control.errors import ControlError, PositionsError, SetpointError, SolverError
-from armsight_control.estimators import Estimate, Observer, all_joints, check_estimator, observer_of, part1, part2
+from armsight_control.estimators import Observer, all_joints, check_estimator, observer_of, part1, part2
+from armsight_control.looking import Looking
 from armsight_control.modes import Mode
 from armsight_control.movement import MotionOptions, Movement
 from armsight_control.positions import (
     DistanceBounds,
     Positions,
+    TipLine,
     capture_of,
     positions_of,
+    tip_line_of,
 )
 from armsight_control.setpoints import Setpoints, setpoint_of
 from armsight_control.solvers import Options, Problem, Solution
@@ -59,6 +64,7 @@ class _Body:
     arm: Arm
     observer: Observer
     bounds: DistanceBounds
+    tip_line: TipLine | None
 
 
 class Loop:
@@ -86,7 +92,7 @@ class Loop:
         self._accepted: JointStates | None = None
         self._setpoints = Setpoints()
         self._stop: StopState | None = None
-        self._estimate: Estimate | None = None
+        self._looking: Looking | None = None
         self._target_message: Point3InFrame | None = None
         self._last: Answer | None = None
 
@@ -127,11 +133,12 @@ class Loop:
             if self._body is None:
                 self._unusable = f"the arm's description can't be used: {error}"
             return
-        self._description, self._body, self._refused, self._estimate = serialised, None, None, None
+        self._description, self._body, self._refused, self._looking = serialised, None, None, None
         self._setpoints.forget()
         self._movement.rest()
         try:
-            self._body = _Body(arm, observer_of(self._estimator, arm, self._counters), DistanceBounds(arm))
+            observer = observer_of(self._estimator, arm, self._counters)
+            self._body = _Body(arm, observer, DistanceBounds(arm), tip_line_of(arm))
             self._movement.describe(arm, message)
         except ControlError as error:
             self._refused = message
@@ -259,12 +266,12 @@ class Loop:
         step = Step(capture_ns, self._since_s(capture_ns))
         try:
             positions = positions_of(message, body.arm)
-            estimate = self._look(positions, body, setpoint, age_s)
-            self._movement.look(message, positions, setpoint, step)
+            safety.check_age(age_s)
+            body.bounds.check(positions)
+            self._look(message, positions, body, setpoint, step)
         except PositionsError as error:
             code = blind_code(error.reason)
             return Decision(CONTROL_STATE_BLIND, str(error), reason=error.reason, safety=code)
-        self._estimate = estimate
         stopped = safety.stopped_by(self._stop)
         if stopped is not None:
             code = SAFETY_CODE_STOPPED
@@ -280,13 +287,24 @@ class Loop:
         self._movement.rest()
         return _PERIOD_S
 
-    def _look(self, positions: Positions, body: _Body, setpoint: Array, age_s: float) -> Estimate:
-        safety.check_age(age_s)
-        body.bounds.check(positions)
+    def _look(self, message: JointPositions, positions: Positions, body: _Body, setpoint: Array, step: Step) -> None:
+        """Takes what was seen, and refuses it where the arm must not move on it.
+
+        Where the markers beside the tip show it, the command does not wait for the angles.
+        """
+        before = self._looking.estimate if self._looking is not None else None
         preferred = part1.NAME if self.mode == CONTROL_MODE_TEST_1 else part2.NAME
-        estimate, tip = body.observer.look(positions, setpoint, preferred)
-        safety.check_astray(body.arm.chain, setpoint, tip, self._limits.speed_share)
-        return estimate
+        looking = Looking(partial(body.observer.look, positions, setpoint, preferred), before, self._counters)
+        tip = None if body.tip_line is None else tip_by_markers(positions, body.tip_line)
+        shown = tip is not None and body.observer.needs_no_angles(tip)
+        try:
+            at = tip.position if tip is not None and shown else looking.tip()
+            safety.check_astray(body.arm.chain, setpoint, at, self._limits.speed_share)
+            self._movement.look(message, tip, setpoint, step)
+        except PositionsError:
+            _ = looking.estimate  # the estimator follows the arm, wherever it is
+            raise
+        self._looking = looking
 
     def _answer(self, message: JointPositions, capture_ns: int, decision: Decision) -> Answer:
         movement, chain = self._movement, None if self._body is None else self._body.arm.chain
@@ -298,6 +316,6 @@ class Loop:
             mode=self.mode,
             decision=decision,
             chain=chain,
-            estimate=self._estimate,
+            looking=self._looking,
             aimed=Aimed(movement.clearance_m, movement.correction, target, movement.pointed),
         )

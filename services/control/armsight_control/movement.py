@@ -38,7 +38,7 @@ from armsight.v1.joints_pb2 import JointPositions
 from armsight_control import safety
 from armsight_control.aiming import FREE_JOINTS, carried, free_of
 from armsight_control.barrier import capsules_of
-from armsight_control.bodies import BodyNames, body_names
+from armsight_control.bodies import BodyNames, Seen, body_names
 from armsight_control.chain import Array, Chain, farthest
 from armsight_control.correction import CORRECTION_TIME_S
 from armsight_control.decision import Decision, holding
@@ -49,7 +49,7 @@ from armsight_control.kinematics import forward, links_of_report, points_and_col
 from armsight_control.modes import AIMING, Mode
 from armsight_control.nullspace import least_moved
 from armsight_control.pointing import Pointing
-from armsight_control.positions import Positions, TipLine, shoulder_of, tip_line_of
+from armsight_control.positions import shoulder_of
 from armsight_control.sight import Sight
 from armsight_control.solvers import Options, Problem, Solution
 from armsight_control.standoff import DISTANCE_M, beside, side_of
@@ -103,7 +103,6 @@ class Body:
     """The arm and what is derived from it once."""
 
     arm: Arm
-    tip_line: TipLine | None
     shoulder: Array
     """Where the part of the arm begins that moves in space, base frame."""
     paths: Mapping[ControlMode, Path]
@@ -202,12 +201,11 @@ class Movement:
         self._let_move(arm.chain)
         own = links_of_report(arm.chain) is not None
         paths = self.PATHS if own else {CONTROL_MODE_TEST_ALL: all_motion_of(arm.chain.limits)}
-        line = tip_line_of(arm)
         planner = Planner(arm.chain, self._limits)
         detours = Detours(arm.chain, self._limits, planner, capsules_of(message, arm.chain))
         names = body_names(message)
-        sight = Sight(arm, line, names, self._counters)
-        self._body = Body(arm, line, shoulder_of(arm.chain), paths, planner, detours, names, sight)
+        sight = Sight(arm, names, self._counters)
+        self._body = Body(arm, shoulder_of(arm.chain), paths, planner, detours, names, sight)
         self._target = self._track = None
         self.begin_anew()
 
@@ -244,7 +242,7 @@ class Movement:
         self._now_ns = 0
         body = self._body
         if body is not None:
-            self._body = replace(body, sight=Sight(body.arm, body.tip_line, body.bodies, self._counters))
+            self._body = replace(body, sight=Sight(body.arm, body.bodies, self._counters))
         self.rest()
 
     def aim(self, message: Point3InFrame) -> None:
@@ -281,8 +279,8 @@ class Movement:
 
     # --- one instant
 
-    def look(self, message: JointPositions, positions: Positions, setpoint: Array, step: Step) -> None:
-        """Takes what vision saw, as it came and checked, whether the arm may move now or not.
+    def look(self, message: JointPositions, tip: Seen | None, setpoint: Array, step: Step) -> None:
+        """Takes what vision saw, as it came, and the tip as it shows it, whether the arm may move now or not.
 
         Raises:
             PositionsError: the tip jumped as nobody told it to.
@@ -293,7 +291,7 @@ class Movement:
         commanded = forward(body.arm.chain, self._history.at(step.capture_ns, setpoint))
         learns = self.mode in AIMING and step.capture_ns - self._rested_ns > _SETTLED_NS
         learn_s = self._options.correction_time_s if learns else None
-        body.sight.look(message, positions, commanded, step, learn_s)
+        body.sight.look(message, tip, commanded, step, learn_s)
 
     def move(self, setpoint: Array, step: Step, lead_s: float) -> Decision:
         """The next setpoint, or why there is none.

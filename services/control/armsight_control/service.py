@@ -8,8 +8,9 @@ import gc
 import logging
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from time import monotonic
+from typing import TypeVar
 
 from armsight.bus import Received
 from armsight.errors import ArmsightError
@@ -36,7 +37,7 @@ from armsight.v1.control_pb2 import (
     ControlStatus,
 )
 from armsight.v1.health_pb2 import HEALTH_STATUS_DEGRADED, HEALTH_STATUS_OK, HEALTH_STATUS_WAITING
-from armsight.v1.joints_pb2 import JointPositions
+from armsight.v1.joints_pb2 import JointPositions, StageTimes
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP
 from armsight_control.answer import Answer
 from armsight_control.latency import Latency
@@ -52,6 +53,8 @@ from armsight_control.tuning import tunables, tuned
 log = logging.getLogger(__name__)
 
 QUIET_S = 0.25
+
+T = TypeVar("T")
 
 
 class Service:
@@ -113,18 +116,25 @@ class Service:
 
     def _answer(self, message: JointPositions, age_s: float, now_ns: int | None) -> Answer | None:
         with self._lock:
-            try:
-                return self._loop.answer(message, age_s, now_ns)
-            except Exception:  # one message that nobody thought of must not end control: sim's watchdog holds the arm
-                self._context.bus.counters.add("failed_joint_positions")
-                log.exception("answering positions failed")
-                return None
+            return self._surviving(lambda: self._loop.answer(message, age_s, now_ns))
+
+    def _surviving(self, work: Callable[[], T]) -> T | None:
+        """Does it; one message that nobody thought of must not end control: sim's watchdog holds the arm."""
+        try:
+            return work()
+        except Exception:
+            self._context.bus.counters.add("failed_joint_positions")
+            log.exception("answering positions failed")
+            return None
 
     def _send(self, answer: Answer, received: Received[JointPositions], received_ns: int) -> None:
         stages = answer.command.stages
         stages.control_received_ns, stages.control_sent_ns = received_ns, wall_ns()
         self._commands.put(answer.command)
         self._latency.add(monotonic() - received.received_s)
+        self._surviving(lambda: self._tell(answer, stages))
+
+    def _tell(self, answer: Answer, stages: StageTimes) -> None:
         answer.status.stages.CopyFrom(stages)
         self._estimates.put(answer.estimated)
         self._statuses.put(answer.status)

@@ -8,11 +8,10 @@ from armsight.counters import Counters
 from armsight.times import NS_PER_S
 from armsight.v1.joints_pb2 import JointPositions
 from armsight_control import safety
-from armsight_control.bodies import BodyNames, seen, tip_by_markers
+from armsight_control.bodies import BodyNames, Seen, seen
 from armsight_control.chain import Array
 from armsight_control.correction import corrected
 from armsight_control.description import Arm
-from armsight_control.positions import Positions, TipLine
 from armsight_control.tracking import Moving, Track, observed, predicted
 from armsight_control.trajectory import Step
 
@@ -26,9 +25,9 @@ _MISTAKEN_S = 0.4
 class Sight:
     """Follows one arm's tip and the bodies beside it from instant to instant."""
 
-    def __init__(self, arm: Arm, tip_line: TipLine | None, names: BodyNames, counters: Counters) -> None:
-        """Has seen nothing yet; without markers on one line with the tip nothing says where that is but the model."""
-        self._arm, self._tip_line, self._names, self._counters = arm, tip_line, names, counters
+    def __init__(self, arm: Arm, names: BodyNames, counters: Counters) -> None:
+        """Has seen nothing yet."""
+        self._arm, self._names, self._counters = arm, names, counters
         self._sphere: Track | None = None
         self._box: Track | None = None
         self._expected: safety.Expected | None = None
@@ -37,13 +36,13 @@ class Sight:
         """The slow part of the tip as seen less the tip as commanded, base frame, metres."""
 
     def look(
-        self, message: JointPositions, positions: Positions, commanded: Array, step: Step, learn_s: float | None
+        self, message: JointPositions, tip: Seen | None, commanded: Array, step: Step, learn_s: float | None
     ) -> None:
         """Takes what vision saw.
 
         Args:
             message: from vision, with the bodies.
-            positions: the arm's markers in it, checked.
+            tip: as the markers on one line with it show it; without them nothing says where it is but the model.
             commanded: where the setpoint of this instant puts the tip, base frame, metres.
             step: this instant.
             learn_s: in which time a difference is taken for one of the model; none where the arm does not follow the
@@ -54,8 +53,7 @@ class Sight:
         """
         self._sphere = self._watched(self._sphere, message, self._names.sphere, step)
         self._box = self._watched(self._box, message, self._names.box, step)
-        line, scale = self._tip_line, self._arm.chain.scale
-        tip = None if line is None else tip_by_markers(positions, line)
+        scale = self._arm.chain.scale
         if tip is None:
             return
         speed = 0.0 if self._expected is None else math.dist(commanded, self._commanded) / step.dt_s

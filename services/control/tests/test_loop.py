@@ -32,13 +32,16 @@ from armsight.v1.joints_pb2 import (
 )
 from armsight.v1.safety_pb2 import StopSource, StopState
 from armsight_control.answer import Answer
+from armsight_control.bodies import Seen
 from armsight_control.chain import Array
 from armsight_control.description import Arm
-from armsight_control.errors import ControlError, ModeError, SetpointError, UnsupportedArmError
+from armsight_control.errors import ControlError, ModeError, PositionsError, SetpointError, UnsupportedArmError
+from armsight_control.estimators import Estimate, Observer, observer_of
 from armsight_control.kinematics import forward
 from armsight_control.loop import Loop
 from armsight_control.modes import NAMES, Mode, mode_of
 from armsight_control.movement import MotionOptions
+from armsight_control.positions import Positions
 from armsight_control.solvers import Options, solve
 from armsight_control.trajectory import MotionLimits, all_motion, part1_motion, part2_motion
 
@@ -280,6 +283,113 @@ def test_a_lost_marker_does_not_stop_an_arm_that_all_others_show(stack: Stack, m
         assert answer.status.state == CONTROL_STATE_MOVING
         np.testing.assert_allclose(stack.estimate(answer), before, atol=2e-3)
     assert "held_lost" not in stack.counters.snapshot()
+
+
+class Watched:
+    """An estimator that notes when it is asked."""
+
+    def __init__(self, observer: Observer) -> None:
+        self.observer, self.asked = observer, 0
+        self.refuses = False
+
+    def needs_no_angles(self, tip: Seen) -> bool:
+        return self.observer.needs_no_angles(tip)
+
+    def look(self, positions: Positions, setpoint: Array, preferred: str) -> tuple[Estimate, Array]:
+        self.asked += 1
+        found = self.observer.look(positions, setpoint, preferred)
+        if self.refuses:
+            raise PositionsError("vague", "as the test wants it")
+        return found
+
+
+@pytest.fixture
+def watched(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> list[Watched]:
+    """Those that the stack's loop makes, the last one at the end."""
+    made: list[Watched] = []
+
+    def make(name: str, arm: Arm, counters: Counters) -> Watched:
+        made.append(Watched(observer_of(name, arm, counters)))
+        return made[-1]
+
+    monkeypatch.setattr("armsight_control.loop.observer_of", make)
+    stack.loop = stack.new_loop(stack.description)
+    stack.reset(all_motion(9.0))
+    stack.mode("test-all", start_s=9.0)
+    return made
+
+
+def test_a_command_does_not_wait_for_the_angles_where_the_tip_is_seen(stack: Stack, watched: list[Watched]) -> None:
+    for k in range(5):
+        answer = stack.step()
+        assert (answer.command.hold, watched[-1].asked) == (False, k)
+        assert answer.status.joints
+        assert len(answer.estimated.joints) == 4
+        assert watched[-1].asked == k + 1, "once"
+
+
+@pytest.mark.parametrize("marker", ["blue", "red"])
+def test_a_command_waits_for_the_angles_where_the_tip_is_not_seen(
+    stack: Stack, watched: list[Watched], marker: str
+) -> None:
+    stack.step()
+    _ = stack.step(status={marker: MARKER_STATUS_LOST})
+    assert watched[-1].asked == 2
+
+
+def test_a_command_waits_for_the_angles_where_the_tip_is_seen_vaguely(stack: Stack, watched: list[Watched]) -> None:
+    stack.capture_ns += PERIOD_NS
+    message = stack.look()
+    for marker in message.markers:
+        if marker.name == "red":
+            marker.covariance[:] = (np.eye(3) * 0.1**2).ravel().tolist()
+    answer = stack.step(message)
+    assert (answer.command.hold, watched[-1].asked) == (False, 1)
+
+
+@pytest.mark.parametrize("estimator", ["parts", "part2"])
+def test_a_command_waits_for_an_estimator_that_may_not_apply(
+    stack: Stack, watched: list[Watched], estimator: str
+) -> None:
+    stack.estimator = estimator
+    stack.loop = stack.new_loop(stack.description)
+    stack.reset(part2_motion(2.0))
+    stack.mode("test-2", start_s=2.0)
+    assert not stack.step().command.hold
+    assert watched[-1].asked == 1
+
+
+def test_angles_that_nobody_asked_for_are_followed_all_the_same(stack: Stack, watched: list[Watched]) -> None:
+    answers = [stack.step() for _ in range(20)]
+    assert watched[-1].asked == 19
+    late = [stack.estimate(answer) for answer in answers]
+    assert watched[-1].asked == 20
+    stack.loop = stack.new_loop(stack.description)
+    stack.capture_ns, stack.answered_ns = START_NS, START_NS
+    stack.reset(all_motion(9.0))
+    stack.mode("test-all", start_s=9.0)
+    at_once = [stack.estimate(stack.step()) for _ in range(20)]
+    np.testing.assert_array_equal(late, at_once)
+
+
+def test_the_estimator_follows_an_arm_that_is_not_where_its_setpoint_is(stack: Stack, watched: list[Watched]) -> None:
+    stack.step()
+    stack.q = -stack.q
+    answer = stack.step()
+    assert (answer.status.state, answer.command.hold) == (CONTROL_STATE_BLIND, True)
+    assert watched[-1].asked == 2
+
+
+def test_angles_that_can_not_be_told_after_the_command_are_counted(stack: Stack, watched: list[Watched]) -> None:
+    before = stack.estimate(stack.step())
+    watched[-1].refuses = True
+    answer = stack.step()
+    assert not answer.command.hold
+    np.testing.assert_array_equal(stack.estimate(answer), before)
+    assert answer.status.joints
+    assert stack.counters.snapshot()["estimate_refused"] == 1
+    watched[-1].refuses = False
+    assert (stack.estimate(stack.step()) != before).any()
 
 
 def test_with_every_marker_of_the_last_links_lost_it_goes_blind_and_recovers(stack: Stack) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from armsight.counters import Counters
 from armsight_control import own as own_parts
+from armsight_control.bodies import Seen
 from armsight_control.chain import Array
 from armsight_control.description import Arm
 from armsight_control.errors import ControlError, PositionsError
@@ -30,6 +31,9 @@ NAMES = (all_joints.NAME, part1.NAME, part2.NAME, PARTS)
 # An estimate of a Part this far from the setpoint in force is on a wrong branch, not late.
 _WRONG_BRANCH_RAD = 1.0
 
+# Of the uncertainty that stops the arm: a tip seen with less needs no angles to say where it is.
+_SEEN_WELL = 0.1
+
 
 def check_estimator(name: str) -> str:
     """The name, if there is such an estimator; one of a person's own (:mod:`.own`) is imported for it.
@@ -46,6 +50,13 @@ def check_estimator(name: str) -> str:
 
 class Observer(Protocol):
     """One estimator at work on one arm."""
+
+    def needs_no_angles(self, tip: Seen) -> bool:
+        """Whether the arm may move on where its tip is seen, and the angles be told later.
+
+        Args:
+            tip: as the markers on one line with it show it.
+        """
 
     def look(self, positions: Positions, setpoint: Array, preferred: str) -> tuple[Estimate, Array]:
         """The angles at one instant, and the tip in the base frame, metres.
@@ -86,6 +97,10 @@ class AllAtOnce:
         self._all = AllJoints(arm)
         self._track: Track | None = None
 
+    def needs_no_angles(self, tip: Seen) -> bool:
+        """Where it is seen far better than it must be known."""
+        return tip.sigma_m <= _SEEN_WELL * self._vague_m
+
     def look(self, positions: Positions, setpoint: Array, preferred: str) -> tuple[Estimate, Array]:
         """As :meth:`Observer.look`; refuses where the tip is known too vaguely."""
         del preferred  # the Parts'
@@ -114,6 +129,11 @@ class Parts:
         self._name, self._counters = name, counters
         self._links = last_links_of(arm)
         self._previous: tuple[str, Array] | None = None
+
+    def needs_no_angles(self, tip: Seen) -> bool:
+        """No: a Part says itself whether it applies."""
+        del tip
+        return False
 
     def look(self, positions: Positions, setpoint: Array, preferred: str) -> tuple[Estimate, Array]:
         """As :meth:`Observer.look`; refuses where a Part's markers are lost."""

@@ -14,6 +14,7 @@ follows from it is near where the setpoint has it (:mod:`armsight_control.safety
 import numpy as np
 
 from armsight_control import own
+from armsight_control.bodies import Seen
 from armsight_control.chain import Array
 from armsight_control.description import Arm
 from armsight_control.errors import ControlError, PositionsError
@@ -41,6 +42,11 @@ class Own:
             raise
         except Exception as error:  # somebody else's code: anything can go wrong in it
             raise ControlError(f"the estimator {place} can't be made: {type(error).__name__}: {error}") from error
+
+    def needs_no_angles(self, tip: Seen) -> bool:
+        """No: the arm moves on what it says, and not on anything else."""
+        del tip
+        return False
 
     def look(self, positions: Positions, setpoint: Array, preferred: str) -> tuple[Estimate, Array]:
         """The angles at one instant, and the tip in the base frame, metres.
