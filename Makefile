@@ -16,7 +16,7 @@ INSTALLED := $(VENV)/.installed-in$(subst /,-,$(CURDIR))
 SOLVERS := services/control/armsight_control/solvers
 PYTEST_ARGS ?=
 
-.PHONY: help setup run test test-long lint format docs docs-serve docs-figures bench bench-vision bench-accuracy bench-ik bench-loop bench-robots bench-footprint bench-link lock clean vision system
+.PHONY: help setup run test test-long lint format docs docs-serve docs-figures bench bench-vision bench-accuracy bench-ik bench-loop bench-robots bench-footprint bench-link bench-sessions lock clean vision system
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -80,9 +80,9 @@ docs-serve: $(INSTALLED)  ## the same on http://127.0.0.1:8001, built anew at ev
 docs-figures: $(INSTALLED)  ## draw the figures of docs/explanation anew
 	$(BIN)/python docs/figures/draw.py
 
-bench: bench-vision bench-accuracy bench-ik bench-loop bench-robots bench-footprint  ## every benchmark; results in bench/results
+bench: bench-vision bench-accuracy bench-ik bench-loop bench-robots bench-footprint bench-sessions  ## every benchmark; results in bench/results
 
-bench-vision bench-accuracy bench-ik bench-loop bench-robots bench-footprint bench-link: setup
+bench-vision bench-accuracy bench-ik bench-loop bench-robots bench-footprint bench-link bench-sessions: setup
 	$(BIN)/python bench/$(subst -,_,$(@:bench-%=%))_bench.py
 
 # Our own packages are installed from their folders; what torch's default build brings for GPUs is left to torch, so that

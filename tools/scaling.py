@@ -248,6 +248,18 @@ def rows_table(rows: Iterable[Mapping[str, Any]]) -> str:
     return "\n".join([*lines, ""])
 
 
+def sessions_table(sessions: Iterable[Mapping[str, Any]]) -> str:
+    """A line for every number of sessions, a column for every figure."""
+    told: dict[str, dict[str, str]] = {}
+    for row in sessions:
+        count, _, figure = row["name"].partition(" sessions: ")
+        told.setdefault(count, {})[figure] = f"{row['value']:.3g} {row['unit']}"
+    figures = list(next(iter(told.values())))
+    lines = ["| sessions | " + " | ".join(figures) + " |", "|---" * (len(figures) + 1) + "|"]
+    lines += ["| " + " | ".join([count, *each.values()]) + " |" for count, each in told.items()]
+    return "\n".join([*lines, ""])
+
+
 def _beside(row: Mapping[str, Any]) -> str:
     return f" {row['reference']}" if row["reference"] and row["ratio"] is None else ""
 
@@ -289,6 +301,8 @@ def page(before: str, results: Mapping[str, Sequence[Mapping[str, Any]]]) -> str
         footprint_table(footprint),
         "## Over a link\n",
         rows_table(link),
+        "## Sessions of one router\n",
+        sessions_table(results["sessions"]),
         "## A thousand robots\n",
         *plans,
         "These are the assumptions, flags of `tools/scaling.py`:\n",
@@ -298,10 +312,10 @@ def page(before: str, results: Mapping[str, Sequence[Mapping[str, Any]]]) -> str
 
 
 def read_results(folder: Path = RESULTS) -> dict[str, list[dict[str, Any]]]:
-    """What the three benchmarks wrote."""
+    """What the four benchmarks wrote."""
     return {
         name: json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-        for name in ("robots", "footprint", "link")
+        for name in ("robots", "footprint", "link", "sessions")
     }
 
 
@@ -325,7 +339,7 @@ def main() -> None:
         return
     try:
         assumed = Assumptions(**arguments)
-        planned = plan(measured(**results), assumed)
+        planned = plan(measured(results["robots"], results["footprint"], results["link"]), assumed)
     except ValueError as error:
         parser.error(str(error))
     print(plan_table(planned, assumed), end="")

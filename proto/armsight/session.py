@@ -55,6 +55,9 @@ _REMOTE_BUFFER_BYTES = 49152
 # 20 Mbit/s the loop went on at 23 Hz with 128 KiB, at 26 Hz with this.
 _LINK_BUFFER_BYTES = 32768
 
+# Of a router. Zenoh's own of 1000 turns away who comes then.
+_MAX_SESSIONS = 10_000
+
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 _HINT_AFTER_ATTEMPTS = 4
@@ -235,6 +238,7 @@ def zenoh_settings(config: SessionConfig) -> zenoh.Config:
         put("listen/endpoints", list(config.endpoints))
         put("connect/endpoints", [with_send_buffer(link, _LINK_BUFFER_BYTES) for link in config.links])
         put("connect/exit_on_failure", False)  # it serves its own machine meanwhile
+        put("transport/unicast/max_sessions", _MAX_SESSIONS)
         put("connect/retry", _RETRY)
         # whoever may ask learns who is connected: `armsight metrics`
         put("adminspace", {"enabled": True, "permissions": {"read": True, "write": False}})
