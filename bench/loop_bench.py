@@ -138,13 +138,14 @@ class Sender:
         for _ in range(pairs):
             due = time.monotonic() + 1 / RATE_HZ
             capture_ns = time.time_ns()
+            # sim says these first, and draws then
+            self._clock.put(Clock(capture_time=to_timestamp(capture_ns), mode=CLOCK_MODE_REALTIME))
+            self._target.timestamp.CopyFrom(to_timestamp(capture_ns))
+            self._targets.put(self._target)
             images = [(name, camera.image) for name, camera in self._snapshot.cameras.items()]
             payloads = {
                 name: self._pool.encode_rgb8(i.data, i.width, i.height, i.frame_id, capture_ns) for name, i in images
             }
-            self._clock.put(Clock(capture_time=to_timestamp(capture_ns), mode=CLOCK_MODE_REALTIME))
-            self._target.timestamp.CopyFrom(to_timestamp(capture_ns))
-            self._targets.put(self._target)
             self._sent_ns[capture_ns] = time.monotonic_ns()
             for name in list(payloads):
                 self._frames[name].put_bytes(payloads.pop(name))
