@@ -61,7 +61,7 @@ def _hold(endpoint: str, robots: Sequence[str], done: Event) -> None:
         for health in healths:
             health.put(bytes(HEALTH_BYTES))
     for session, *_ in sessions:
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
 
 
 @contextmanager
@@ -95,9 +95,8 @@ class Watcher:
         self._tokens = self._session.liveliness().declare_subscriber(
             "robots/*/health/control", self._changed, history=True
         )
-        priority = {"priority": zenoh.Priority.REAL_TIME, "express": True}
-        self._ping = self._session.declare_publisher("bench/ping", **priority)
-        pong = other.declare_publisher("bench/pong", **priority)
+        self._ping = self._session.declare_publisher("bench/ping", priority=zenoh.Priority.REAL_TIME, express=True)
+        pong = other.declare_publisher("bench/pong", priority=zenoh.Priority.REAL_TIME, express=True)
         self._kept = [
             other.declare_subscriber("bench/ping", lambda sample: pong.put(sample.payload)),
             self._session.declare_subscriber("bench/pong", self._came_back),
