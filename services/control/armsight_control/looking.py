@@ -17,7 +17,7 @@ class Looking:
         Args:
             look: gives the angles, and the tip in the base frame, metres.
             before: what is known where this instant tells nothing.
-            counters: count, as `estimate_refused`, what tells nothing to whom the arm did not wait for.
+            counters: count `estimate_refused` where the arm did not wait, and the positions tell nothing.
         """
         self._look: Callable[[], tuple[Estimate, Array]] | None = look
         self._estimate, self._counters = before, counters
