@@ -224,7 +224,7 @@ def test_vision_measures_what_cameras_in_a_container_bring(
             if {states.get(name, {}).get("status") for name in ("sim", "vision", "camera")} == {"ok"}:
                 break
             assert time.monotonic() < deadline, states
-        # what the camera took before it had heard sim's clock is on another, and refused; health says so within a second
+        # what the camera took before it had heard sim's clock is on another, and refused; health says so in a second
         ahead = 0
         for _ in range(2):
             ahead = counted(compose, "command_refused_future", "sim")

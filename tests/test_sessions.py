@@ -20,7 +20,7 @@ def test_a_router_lets_in_more_than_a_thousand() -> None:
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     assert limits[1] > 2 * FLEET, "a machine of a fleet allows a process that many descriptors"
     with Stack() as stack, ExitStack() as closing:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (1024, limits[1]))  # as a login has it
+        resource.setrlimit(resource.RLIMIT_NOFILE, (1024, limits[1]))  # as a login has it: Zenoh raises it
         closing.callback(resource.setrlimit, resource.RLIMIT_NOFILE, limits)
         stack.start("router")
         resource.setrlimit(resource.RLIMIT_NOFILE, (limits[1], limits[1]))

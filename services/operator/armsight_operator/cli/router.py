@@ -2,7 +2,6 @@
 
 import json
 import logging
-import resource
 import threading
 from contextlib import suppress
 from dataclasses import replace
@@ -91,7 +90,6 @@ def _run(config: "SessionConfig") -> None:
     set_up_logging("router", "warning")
     if config.file is not None and (config.file.parent / CERTIFICATE).exists():
         _warn_of_certificates(config.file.parent)
-    _open_as_many_as_allowed()
     stop = stop_on_signals()
     session = open_session(config, stop)
     if session is None:
@@ -103,12 +101,6 @@ def _run(config: "SessionConfig") -> None:
         if config.links:
             _watch_links(session, config, stop)
         stop.wait()
-
-
-def _open_as_many_as_allowed() -> None:
-    """Each session takes a descriptor: a login allows a process 1024, and to ask for more."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _watch_links(session: "zenoh.Session", config: "SessionConfig", stop: threading.Event) -> None:
