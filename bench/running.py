@@ -5,6 +5,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import zenoh
+
 from armsight.bus import Bus, open_bus
 from armsight.session import SessionConfig, open_session
 from armsight.shared_memory import Use
@@ -12,13 +14,18 @@ from armsight.shared_memory import Use
 _PATIENCE_S = 60.0
 
 
-@contextmanager
-def bus_of(endpoint: str, namespace: str, shared_memory: Use = "off") -> Iterator[Bus]:
-    """A place on one robot's bus."""
+def session_of(endpoint: str, namespace: str, shared_memory: Use = "off") -> zenoh.Session:
+    """A session of one robot; of none where the namespace is empty."""
     config = SessionConfig(endpoints=(endpoint,), namespace=namespace, shared_memory=shared_memory)
     session = open_session(config, threading.Event())
     assert session is not None
-    with open_bus(session) as bus:
+    return session
+
+
+@contextmanager
+def bus_of(endpoint: str, namespace: str, shared_memory: Use = "off") -> Iterator[Bus]:
+    """A place on one robot's bus."""
+    with open_bus(session_of(endpoint, namespace, shared_memory)) as bus:
         yield bus
 
 

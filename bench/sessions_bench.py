@@ -8,7 +8,6 @@ Somebody else's message goes through the same router all the while, there and ba
 import multiprocessing
 import signal
 import statistics
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -16,10 +15,9 @@ from multiprocessing.synchronize import Event
 
 import zenoh
 from processes import memory, processor_s
-from running import until
+from running import session_of, until
 
 from armsight import topics
-from armsight.session import SessionConfig, open_session, zenoh_settings
 from armsight_operator.stack import Stack
 from results import Result, percentile, publish
 
@@ -48,9 +46,7 @@ def _hold(endpoint: str, robots: Sequence[str], done: Event) -> None:
     """Holds a session for each robot, until told."""
     sessions, healths = [], []
     for robot in robots:
-        config = SessionConfig(endpoints=(endpoint,), namespace=robot, shared_memory="off")
-        session = open_session(config, threading.Event())
-        assert session is not None
+        session = session_of(endpoint, robot)
         key = topics.HEALTH.key_for("control")
         kept = [session.declare_subscriber(topic.key, zenoh.handlers.RingChannel(1)) for topic in READ]
         said = [session.declare_publisher(topic.key) for topic in SAID]
@@ -88,12 +84,11 @@ class Watcher:
 
     def __init__(self, endpoint: str, closing: ExitStack) -> None:
         """Two sessions of its own."""
-        settings = zenoh_settings(SessionConfig(endpoints=(endpoint,), namespace="", shared_memory="off"))
-        self._session, other = (closing.enter_context(zenoh.open(settings)) for _ in range(2))
+        self._session, other = (closing.enter_context(session_of(endpoint, "")) for _ in range(2))
         self._there: set[str] = set()
         self._took_ms: list[float] = []
         self._tokens = self._session.liveliness().declare_subscriber(
-            "robots/*/health/control", self._changed, history=True
+            f"robots/*/{topics.HEALTH.key_for('control')}", self._changed, history=True
         )
         self._ping = self._session.declare_publisher("bench/ping", priority=zenoh.Priority.REAL_TIME, express=True)
         pong = other.declare_publisher("bench/pong", priority=zenoh.Priority.REAL_TIME, express=True)

@@ -225,12 +225,9 @@ def test_vision_measures_what_cameras_in_a_container_bring(
                 break
             assert time.monotonic() < deadline, states
         # what the camera took before it had heard sim's clock is on another, and refused; health says so in a second
-        ahead = 0
-        for _ in range(2):
-            ahead = counted(compose, "command_refused_future", "sim")
-            before = counted(compose, "frames_received")
-            while counted(compose, "frames_received") < before + 45:
-                assert time.monotonic() < deadline, compose.status()
+        await_frames(compose, 45, deadline)
+        ahead = counted(compose, "command_refused_future", "sim")
+        await_frames(compose, 45, deadline)
         assert counted(compose, "command_refused_future", "sim") == ahead
         assert compose("exec", "-T", "camera", "id", "-u").strip() == "10001"
     finally:
@@ -313,6 +310,13 @@ def counted(compose: Compose, counter: str, by: str = "vision") -> int:
     """By a service's own health."""
     its = next(service for service in compose.status()["services"] if service["name"] == by)
     return int(its["counters"].get(counter, 0))
+
+
+def await_frames(compose: Compose, more: int, deadline_s: float) -> None:
+    """Until vision has received so many more."""
+    before = counted(compose, "frames_received")
+    while counted(compose, "frames_received") < before + more:
+        assert time.monotonic() < deadline_s, compose.status()
 
 
 def docker(*words: str) -> str:

@@ -296,9 +296,8 @@ class Loop:
         preferred = part1.NAME if self.mode == CONTROL_MODE_TEST_1 else part2.NAME
         looking = Looking(partial(body.observer.look, positions, setpoint, preferred), before, self._counters)
         tip = None if body.tip_line is None else tip_by_markers(positions, body.tip_line)
-        shown = tip is not None and body.observer.needs_no_angles(tip)
         try:
-            at = tip.position if tip is not None and shown else looking.tip()
+            at = tip.position if tip is not None and body.observer.needs_no_angles(tip) else looking.tip()
             safety.check_astray(body.arm.chain, setpoint, at, self._limits.speed_share)
             self._movement.look(message, tip, setpoint, step)
         except PositionsError:

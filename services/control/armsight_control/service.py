@@ -8,9 +8,8 @@ import gc
 import logging
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from time import monotonic
-from typing import TypeVar
 
 from armsight.bus import Received
 from armsight.errors import ArmsightError
@@ -37,7 +36,7 @@ from armsight.v1.control_pb2 import (
     ControlStatus,
 )
 from armsight.v1.health_pb2 import HEALTH_STATUS_DEGRADED, HEALTH_STATUS_OK, HEALTH_STATUS_WAITING
-from armsight.v1.joints_pb2 import JointPositions, StageTimes
+from armsight.v1.joints_pb2 import JointPositions
 from armsight.v1.sim_pb2 import CLOCK_MODE_LOCKSTEP
 from armsight_control.answer import Answer
 from armsight_control.latency import Latency
@@ -49,12 +48,10 @@ from armsight_control.settings import Settings, parser, settings_of
 from armsight_control.solvers import check_applies
 from armsight_control.tuning import tunables, tuned
 
-# Without positions for this long the status says so, and again as often.
 log = logging.getLogger(__name__)
 
+# Without positions for this long the status says so, and again as often.
 QUIET_S = 0.25
-
-T = TypeVar("T")
 
 
 class Service:
@@ -104,9 +101,7 @@ class Service:
                 self._pursuit.catch_up(received.message, self._context.stop)
             # in lockstep the arm stands until it is answered: positions don't age
             now_ns = None if clock is None else from_timestamp(clock.capture_time)
-            answer = self._answer(received.message, 0.0 if lockstep else age_s, now_ns)
-            if answer is not None:
-                self._send(answer, received, received_ns)
+            self._answer(received, 0.0 if lockstep else age_s, now_ns, received_ns)
             if not lockstep:
                 self._pursuit.go_on()
 
@@ -114,27 +109,21 @@ class Service:
         """Ends the solver's process."""
         self._pursuit.solvers.close()
 
-    def _answer(self, message: JointPositions, age_s: float, now_ns: int | None) -> Answer | None:
-        with self._lock:
-            return self._surviving(lambda: self._loop.answer(message, age_s, now_ns))
-
-    def _surviving(self, work: Callable[[], T]) -> T | None:
-        """Does it; one message that nobody thought of must not end control: sim's watchdog holds the arm."""
+    def _answer(self, received: Received[JointPositions], age_s: float, now_ns: int | None, received_ns: int) -> None:
         try:
-            return work()
-        except Exception:
+            with self._lock:
+                answer = self._loop.answer(received.message, age_s, now_ns)
+            if answer is not None:
+                self._send(answer, received, received_ns)
+        except Exception:  # one message that nobody thought of must not end control: sim's watchdog holds the arm
             self._context.bus.counters.add("failed_joint_positions")
             log.exception("answering positions failed")
-            return None
 
     def _send(self, answer: Answer, received: Received[JointPositions], received_ns: int) -> None:
         stages = answer.command.stages
         stages.control_received_ns, stages.control_sent_ns = received_ns, wall_ns()
         self._commands.put(answer.command)
         self._latency.add(monotonic() - received.received_s)
-        self._surviving(lambda: self._tell(answer, stages))
-
-    def _tell(self, answer: Answer, stages: StageTimes) -> None:
         answer.status.stages.CopyFrom(stages)
         self._estimates.put(answer.estimated)
         self._statuses.put(answer.status)

@@ -255,11 +255,10 @@ class Commander:
 
         with self._arrived:  # a clock may be heard after its frames
             self._arrived.wait_for(lambda: not without(), ANSWER_S)
-            heard = self._clocks[first:]
+            heard, missing = self._clocks[first:], without()
         judge.check_monotonic("clock", [from_timestamp(clock.capture_time) for clock in heard])
         judge.check_monotonic("frame", [clock.frame * NS_PER_S for clock in heard])
-        seen = f"{len(without())} of {len(instants)} instants without a clock"
-        require(not without(), seen, "the time of the frames")
+        require(not missing, f"{len(missing)} of {len(instants)} instants without a clock", "the time of the frames")
         for clock in heard:
             require(clock.mode != CLOCK_MODE_UNSPECIFIED, "no mode", "REALTIME or LOCKSTEP")
             require(from_duration(clock.period) > 0, "no period", "the time between two frames")
