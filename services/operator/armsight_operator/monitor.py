@@ -64,6 +64,16 @@ class Snapshot:
         return all(service.status == "ok" for service in self.services if service.name in SERVICES)
 
     @property
+    def works(self) -> bool:
+        """Whether every service of the loop does its work, if not all well: a machine may be too slow for its frames."""
+        return all(service.status in ("ok", "degraded") for service in self.services if service.name in SERVICES)
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """What is not well, a line for each service that says so."""
+        return tuple(f"{each.name}: {each.detail or each.status}" for each in self.services if each.status != "ok")
+
+    @property
     def error_m(self) -> float | None:
         """Distance of the estimated tip from the target."""
         return None if self.tip is None or self.target is None else math.dist(self.tip, self.target)

@@ -5,7 +5,7 @@ import pytest
 
 from armsight import topics
 from armsight.bus import Bus
-from armsight.v1.health_pb2 import HEALTH_STATUS_DEGRADED
+from armsight.v1.health_pb2 import HEALTH_STATUS_DEGRADED, HEALTH_STATUS_WAITING
 from armsight.v1.safety_pb2 import STOP_ACTION_STOP, StopRequest
 from armsight_operator import monitor as module
 from armsight_operator.cli.status import live_line
@@ -32,6 +32,7 @@ def test_a_service_that_was_never_heard_of_is_missing(monitor: Monitor) -> None:
     snapshot = monitor.snapshot()
     assert [(s.name, s.status) for s in snapshot.services] == [(n, "missing") for n in ("sim", "vision", "control")]
     assert not snapshot.ready
+    assert not snapshot.works
     assert snapshot.mode == ""
     assert snapshot.error_m is None
     assert snapshot.latency_p50_ms is None
@@ -46,6 +47,10 @@ def test_ready_when_all_three_are_well(monitor: Monitor, arm: FakeArm) -> None:
     snapshot = await_snapshot(monitor, lambda s: s.services[2].status == "degraded")
     assert snapshot.services[2].detail == "sees nothing"
     assert not snapshot.ready
+    assert snapshot.works
+    assert snapshot.troubles == ("control: sees nothing",)
+    arm.say_health("control", HEALTH_STATUS_WAITING, "solver loading")
+    await_snapshot(monitor, lambda s: not s.works)
     arm.say_health("control")
     snapshot = await_snapshot(monitor, lambda s: s.ready)
     assert snapshot.services[0].counters == {"refused_stale": 3}

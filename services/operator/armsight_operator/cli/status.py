@@ -66,9 +66,7 @@ def live_line(snapshot: "Snapshot") -> str:
         parts.append(f"tip {snapshot.error_m * 1000:.0f} mm from target")
     if snapshot.stopped_by:
         parts.append(f"STOPPED by {', '.join(snapshot.stopped_by)}")
-    parts += [
-        f"{service.name}: {service.detail or service.status}" for service in snapshot.services if service.status != "ok"
-    ]
+    parts += snapshot.troubles
     if snapshot.state != "moving" and snapshot.detail:
         parts.append(snapshot.detail)
     return " | ".join(parts)

@@ -109,9 +109,10 @@ def _watch(stack: "Stack", supervisor: "Supervisor", stop: threading.Event, bega
                 if death.hopeless and death.name != PAGE:  # the arm does without
                     raise OperatorError(f"{death.name} can't use its configuration: {death.last_line}")
             snapshot = monitor.snapshot()
-            if ready_s is None and snapshot.ready:
+            if ready_s is None and snapshot.works:
                 ready_s = time.monotonic() - began
-                line.print(f"ready after {ready_s:.1f} s; {_where_to_look(stack, picture)}")
+                but = "".join(f", but {trouble}" for trouble in snapshot.troubles)
+                line.print(f"ready after {ready_s:.1f} s{but}; {_where_to_look(stack, picture)}")
                 painter.start()
             line.update(snapshot)
         line.end()

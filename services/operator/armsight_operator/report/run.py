@@ -234,8 +234,7 @@ def wait_ready(monitor: Monitor, timeout_s: float = _READY_S) -> None:
     until = time.monotonic() + timeout_s
     while not monitor.snapshot().ready:
         if time.monotonic() > until:
-            said = [f"{s.name}: {s.detail or s.status}" for s in monitor.snapshot().services if s.status != "ok"]
-            raise NoDataError(f"not ready within {timeout_s:g} s: {'; '.join(said)}")
+            raise NoDataError(f"not ready within {timeout_s:g} s: {'; '.join(monitor.snapshot().troubles)}")
         time.sleep(0.05)
 
 
