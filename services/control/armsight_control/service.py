@@ -9,7 +9,7 @@ import logging
 import sys
 import threading
 from collections.abc import Mapping
-from time import monotonic
+from time import monotonic, sleep
 
 from armsight.bus import Received
 from armsight.errors import ArmsightError
@@ -52,6 +52,10 @@ log = logging.getLogger(__name__)
 
 # Without positions for this long the status says so, and again as often.
 QUIET_S = 0.25
+
+# The processors are the command's until it is where it goes: on two of them what control does next kept it waiting for
+# 0.5 ms.
+_COMMAND_LEAVES_S = 0.0005
 
 
 class Service:
@@ -124,6 +128,7 @@ class Service:
         stages.control_received_ns, stages.control_sent_ns = received_ns, wall_ns()
         self._commands.put(answer.command)
         self._latency.add(monotonic() - received.received_s)
+        sleep(_COMMAND_LEAVES_S)
         answer.status.stages.CopyFrom(stages)
         self._estimates.put(answer.estimated)
         self._statuses.put(answer.status)
