@@ -30,13 +30,19 @@ BUILD_S, UP_S = 2400, 120
 pytestmark = [pytest.mark.docker, pytest.mark.timeout(BUILD_S + 300)]
 
 
+# How fast the machine draws is no matter here, and other tests run beside.
+FEW_FRAMES = "--target default --fps 15 --samples 0"
+
+
 class Compose:
     """The project's compose files, as a user calls them, under a name of their own."""
 
     def __init__(self, project: str = PROJECT, **environment: str) -> None:
         self.project = project
         self.environment = (
-            os.environ | {"ARMSIGHT_PORT": str(free_port()), "ARMSIGHT_PAGE_PORT": str(free_port())} | environment
+            os.environ
+            | {"ARMSIGHT_PORT": str(free_port()), "ARMSIGHT_PAGE_PORT": str(free_port()), "ARMSIGHT_SIM": FEW_FRAMES}
+            | environment
         )
 
     def run(self, *words: str, timeout_s: float = UP_S) -> subprocess.CompletedProcess[str]:

@@ -176,6 +176,13 @@ def test_cameras_are_as_confined_as_the_others_and_have_their_devices_alone(file
     assert every["sim"]["environment"][CAMERAS] == "1 2"
 
 
+def test_sim_is_told_what_one_asks_for() -> None:
+    assert services(BASE)["sim"]["command"] == ["armsight-sim", "--target", "default"]
+    every = services(BASE, profile="two-robots", ARMSIGHT_SIM="--target visible --fps 15")
+    for name in ("sim", "sim-2"):
+        assert every[name]["command"] == ["armsight-sim", "--target", "visible", "--fps", "15"]
+
+
 def test_sim_draws_its_own_cameras_unless_told_otherwise(either: Services) -> None:
     assert either["sim"]["environment"][CAMERAS] == ""
 

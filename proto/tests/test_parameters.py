@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import pytest
 from google.protobuf.empty_pb2 import Empty
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armsight import topics
@@ -99,6 +99,7 @@ VALUES = st.one_of(
 NAMES = st.sampled_from([*(one.name for one in ALL), "other"])
 
 
+@settings(deadline=None)
 @given(st.lists(st.dictionaries(NAMES, VALUES, max_size=3), max_size=8))
 def test_whatever_arrives_what_is_in_force_is_within_its_bounds(requests: list[dict[str, ParameterValue]]) -> None:
     kept = Kept()

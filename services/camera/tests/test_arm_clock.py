@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armsight.times import NS_PER_S
@@ -14,6 +14,7 @@ def test_unix_time_where_there_is_no_clock() -> None:
     assert ArmClock(START).capture_ns(5 * NS_PER_S) == START + 5 * NS_PER_S
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 30 * MS), min_size=1, max_size=60), st.integers(-5, 5))
 def test_error_is_the_least_delay_seen_lately(delays: list[int], ahead_s: int) -> None:
     offset, clock = START + ahead_s * NS_PER_S, ArmClock(START)

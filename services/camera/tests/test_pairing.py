@@ -1,6 +1,6 @@
 from itertools import pairwise
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armsight_camera.pairing import Instant, Pairing
@@ -44,6 +44,7 @@ def played(cameras: list[str], frames: list[tuple[str, int, int]]) -> tuple[Out,
     return out, refused
 
 
+@settings(deadline=None)
 @given(arrivals())
 def test_every_frame_goes_out_once_or_is_refused(case: tuple[list[str], list[tuple[str, int, int]]]) -> None:
     out, refused = played(*case)
@@ -51,6 +52,7 @@ def test_every_frame_goes_out_once_or_is_refused(case: tuple[list[str], list[tup
     assert sorted(sent + refused) == sorted((camera, time) for camera, time, _ in case[1])
 
 
+@settings(deadline=None)
 @given(arrivals())
 def test_times_only_go_up_and_are_those_of_the_first_frame(
     case: tuple[list[str], list[tuple[str, int, int]]],
@@ -64,6 +66,7 @@ def test_times_only_go_up_and_are_those_of_the_first_frame(
         assert all(camera == frame[0] for camera, frame in instant.frames.items())
 
 
+@settings(deadline=None)
 @given(arrivals())
 def test_frames_of_a_camera_stay_in_order(case: tuple[list[str], list[tuple[str, int, int]]]) -> None:
     out, _ = played(*case)
@@ -72,6 +75,7 @@ def test_frames_of_a_camera_stay_in_order(case: tuple[list[str], list[tuple[str,
         assert times == sorted(times)
 
 
+@settings(deadline=None)
 @given(arrivals(most_delay=PATIENCE - SKEW - 1))
 def test_frame_that_came_in_time_is_never_left_out_of_an_instant_it_belongs_to(
     case: tuple[list[str], list[tuple[str, int, int]]],
@@ -83,6 +87,7 @@ def test_frame_that_came_in_time_is_never_left_out_of_an_instant_it_belongs_to(
         assert all(time - before.time_ns > SKEW for time in others)
 
 
+@settings(deadline=None)
 @given(st.sets(MS, max_size=7), st.sets(MS, max_size=7))
 def test_two_cameras_make_as_many_pairs_as_there_can_be(first: set[int], second: set[int]) -> None:
     frames = sorted([("1", time, time) for time in first] + [("2", time, time) for time in second], key=lambda f: f[2])

@@ -1,10 +1,11 @@
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armsight_control.spread import inverse, is_positive, largest_variance
 
 
+@settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-12, 6), st.floats(0, 6))
 def test_the_largest_variance_is_the_largest_eigenvalue(seed: int, magnitude: float, decades: float) -> None:
     rng = np.random.default_rng(seed)

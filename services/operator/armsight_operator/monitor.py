@@ -65,7 +65,7 @@ class Snapshot:
 
     @property
     def works(self) -> bool:
-        """Whether every service of the loop does its work, if not all well: a machine may be too slow for its frames."""
+        """Whether every service of the loop does its work, be it not well: a machine can be too slow for its frames."""
         return all(service.status in ("ok", "degraded") for service in self.services if service.name in SERVICES)
 
     @property

@@ -227,14 +227,14 @@ def test_command_between_two_frames_is_taken_at_its_time_with_external_cameras(
     commands = bus.publisher(topics.JOINT_COMMAND)
     sim("--external-cameras", "1", "2", "--fps", "15")
     refused: list[dict[str, float]] = [{}]
-    sent = 0
-    clean = 0
+    sent = clean = seen_ns = 0
     for _ in range(30):
         for phase in range(10):
             tick = clock.recv(15.0)
             assert tick is not None
             threading.Event().wait(phase * 0.005)
-            seen_ns = from_timestamp(tick.message.capture_time) + round((time.monotonic() - tick.received_s) * 1e9)
+            now_ns = from_timestamp(tick.message.capture_time) + round((time.monotonic() - tick.received_s) * 1e9)
+            seen_ns = max(now_ns, seen_ns + 1)  # a tick that came late says an earlier time than it is
             threading.Event().wait(0.008)  # vision and control
             commands.put(answer(seen_ns, 0.3))
             sent += 1

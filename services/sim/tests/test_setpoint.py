@@ -1,7 +1,7 @@
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis.extra.numpy import arrays
 from hypothesis.strategies import floats, integers, lists
 
@@ -72,6 +72,7 @@ def test_accepted_is_the_command_where_the_speed_limit_lets_it(setpoint: Setpoin
     assert setpoint.accepted[0] < 3.0
 
 
+@settings(deadline=None)
 @given(
     start=arrays(np.float64, 4, elements=floats(0.0, 1.0)),
     goals=lists(arrays(np.float64, 4, elements=floats(0.0, 1.0)), min_size=1, max_size=4),
