@@ -9,7 +9,7 @@ import logging
 import sys
 import threading
 from collections.abc import Mapping
-from time import monotonic, sleep
+from time import monotonic
 
 from armsight.bus import Received
 from armsight.errors import ArmsightError
@@ -128,7 +128,7 @@ class Service:
         stages.control_received_ns, stages.control_sent_ns = received_ns, wall_ns()
         self._commands.put(answer.command)
         self._latency.add(monotonic() - received.received_s)
-        sleep(_COMMAND_LEAVES_S)
+        self._context.stop.wait(_COMMAND_LEAVES_S)
         answer.status.stages.CopyFrom(stages)
         self._estimates.put(answer.estimated)
         self._statuses.put(answer.status)
